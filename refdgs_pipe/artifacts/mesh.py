@@ -1,0 +1,60 @@
+"""Triangle meshes. Distinct types because they promise different things."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from refdgs_pipe.files.ply import read_mesh, write_mesh
+
+
+@dataclass(frozen=True)
+class TriangleMesh:
+    """Vertices (V, 3) float32 in world units and faces (F, 3) int32, counter-clockwise outside."""
+
+    vertices: NDArray[np.float32]
+    faces: NDArray[np.int32]
+
+    def save(self, folder: Path) -> None:
+        write_mesh(folder / "mesh.ply", self.vertices, self.faces)
+
+    @classmethod
+    def load(cls, folder: Path) -> Self:
+        data = read_mesh(folder / "mesh.ply")
+        return cls(data.vertices, data.faces)
+
+
+class RawMesh(TriangleMesh):
+    """As fused: dense, possibly with floaters and holes."""
+
+
+class Mesh(TriangleMesh):
+    """One clean, manifold, consistently oriented surface within the face budget."""
+
+
+@dataclass(frozen=True)
+class UvMesh:
+    """A mesh cut along its charts.
+
+    Args:
+        vertices: (V, 3) float32, repeated along seams.
+        normals: (V, 3) float32, unit, equal on both sides of a seam.
+        uv: (V, 2) float32 in [0, 1]; v grows downwards in the image (glTF): row 0 is v = 0.
+        faces: (F, 3) int32.
+    """
+
+    vertices: NDArray[np.float32]
+    normals: NDArray[np.float32]
+    uv: NDArray[np.float32]
+    faces: NDArray[np.int32]
+
+    def save(self, folder: Path) -> None:
+        write_mesh(folder / "mesh.ply", self.vertices, self.faces, normals=self.normals, uv=self.uv)
+
+    @classmethod
+    def load(cls, folder: Path) -> Self:
+        data = read_mesh(folder / "mesh.ply")
+        assert data.normals is not None and data.uv is not None
+        return cls(data.vertices, data.normals, data.uv, data.faces)

@@ -1,0 +1,103 @@
+"""Pinhole cameras and lenses: the one place that states the conventions.
+
+OpenCV cameras: x right, y down, z forward. Pixel (i, j) covers [i, i+1) x [j, j+1) and has its
+centre at (i + 0.5, j + 0.5). Transforms are `target_from_source`. Depth is the camera's z.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+F64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera without distortion, and where it stood.
+
+    Args:
+        name: the view's name, unique in its capture.
+        width, height: pixels.
+        K: (3, 3) intrinsics in pixels.
+        cam_from_world: (4, 4) rigid transform.
+        split: "train", or "test" for a view held out from training.
+    """
+
+    name: str
+    width: int
+    height: int
+    K: F64
+    cam_from_world: F64
+    split: str = "train"
+
+    @property
+    def world_from_cam(self) -> F64:
+        R, t = self.cam_from_world[:3, :3], self.cam_from_world[:3, 3]
+        out = np.eye(4)
+        out[:3, :3], out[:3, 3] = R.T, -R.T @ t
+        return out
+
+    @property
+    def center(self) -> F64:
+        """(3,) position in the world."""
+        return self.world_from_cam[:3, 3]
+
+    def resized(self, width: int, height: int) -> "Camera":
+        """The same camera for an image resampled to another size."""
+        scale = np.diag([width / self.width, height / self.height, 1.0])
+        return replace(self, width=width, height=height, K=scale @ self.K)
+
+    def pixel_rays(self) -> F64:
+        """(H, W, 3) camera-space rays through the pixel centres, with z = 1."""
+        x, y = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)
+        pixels = np.stack([x, y, np.ones_like(x)], -1)
+        return np.asarray(pixels @ np.linalg.inv(self.K).T)
+
+    def project(self, points: F64) -> tuple[F64, F64]:
+        """Pixel coordinates (N, 2) and depths (N,) of world points (N, 3)."""
+        p = points @ self.cam_from_world[:3, :3].T + self.cam_from_world[:3, 3]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            uv = (p @ self.K.T)[:, :2] / p[:, 2:]
+        return uv, p[:, 2]
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "name": self.name,
+            "width": self.width,
+            "height": self.height,
+            "K": self.K.tolist(),
+            "cam_from_world": self.cam_from_world.tolist(),
+            "split": self.split,
+        }
+
+    @classmethod
+    def from_json(cls, record: dict[str, Any]) -> "Camera":
+        K, pose = np.array(record["K"], float), np.array(record["cam_from_world"], float)
+        return cls(
+            record["name"], record["width"], record["height"], K, pose, record.get("split", "train")
+        )
+
+
+@dataclass(frozen=True)
+class Lens:
+    """What a photo was taken through: OpenCV's radial-tangential model.
+
+    Args:
+        K: (3, 3) intrinsics of the photo as taken, pixels.
+        distortion: (8,) k1 k2 p1 p2 k3 k4 k5 k6, zeros for a pinhole.
+    """
+
+    K: F64
+    distortion: F64
+
+    @property
+    def is_pinhole(self) -> bool:
+        return not self.distortion.any()
+
+
+def opencv_from_opengl(world_from_cam: F64) -> F64:
+    """cam_from_world (OpenCV) of an OpenGL camera-to-world matrix (x right, y up, looks along -z)."""
+    flipped = world_from_cam @ np.diag([1.0, -1.0, -1.0, 1.0])
+    return np.linalg.inv(flipped)

@@ -1,0 +1,57 @@
+"""What happens during a run, as data. Stages emit events; the console, log and viewer listen."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeAlias
+
+
+@dataclass(frozen=True)
+class Reused:
+    """A stage's result was there already."""
+
+    stage: str
+
+
+@dataclass(frozen=True)
+class Started:
+    stage: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Progress:
+    """`done` of `total` steps (None: not known) of the running stage."""
+
+    stage: str
+    label: str
+    done: int
+    total: int | None
+    note: str = ""  # live figures, such as "loss 0.031 psnr 27.4"
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A figure about the result, kept in its manifest. `unit` is "" for pure numbers."""
+
+    stage: str
+    name: str
+    value: float | int | str
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class Warned:
+    """Something the user should know, kept in the manifest: the result is degraded, not wrong."""
+
+    stage: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Finished:
+    stage: str
+    seconds: float
+
+
+Event: TypeAlias = Reused | Started | Progress | Measured | Warned | Finished
+Emit: TypeAlias = Callable[[Event], None]
