@@ -1,0 +1,77 @@
+// The module _refdgs_native. Arrays come as addresses of contiguous tensors that Python allocated and
+// checked (refdgs_pipe/ops/native.py is the only caller); they must stay alive during the call.
+#include <nanobind/nanobind.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/tuple.h>
+#include <nanobind/stl/vector.h>
+
+#include "ops/dispatch.h"
+#include "ops/rasterize.h"
+#if defined(REFDGS_WITH_CUDA)
+#include "cuda/device.h"
+#endif
+
+namespace nb = nanobind;
+using namespace refdgs;
+
+namespace {
+
+using Address = uintptr_t;
+template <class S> S* at(Address a) { return reinterpret_cast<S*>(a); }
+
+template <class S> Pinhole<S> pinhole(const std::vector<double>& p, int width, int height) {
+  Pinhole<S> cam;
+  for (int row = 0; row < 3; ++row)
+    for (int col = 0; col < 3; ++col) cam.R.m[3 * row + col] = S(p[4 * row + col]);
+  cam.t = {S(p[3]), S(p[7]), S(p[11])};
+  cam.fx = S(p[12]), cam.fy = S(p[13]), cam.cx = S(p[14]), cam.cy = S(p[15]);
+  cam.near = S(p[16]);
+  cam.width = width, cam.height = height;
+  return cam;
+}
+
+template <class S> Surfels<S> surfels(const std::vector<Address>& a, int64_t count, int channels) {
+  return {count, at<S>(a[0]), at<S>(a[1]), at<S>(a[2]), at<S>(a[3]), at<S>(a[4]), channels};
+}
+
+template <class S> void bind_raster(nb::module_& m, const char* name) {
+  nb::class_<Raster<S>>(m, name)
+      .def(nb::init<>())
+      .def("forward",
+           [](Raster<S>& self, const std::vector<Address>& in, int64_t count, int channels,
+              const std::vector<double>& camera, int width, int height, int extra, bool normals, int threads,
+              Address maps, Address radii) {
+             nb::gil_scoped_release release;
+             self.forward(surfels<S>(in, count, channels), pinhole<S>(camera, width, height),
+                          {Extra(extra), normals, threads}, at<S>(maps), at<S>(radii));
+           })
+      .def("backward",
+           [](Raster<S>& self, const std::vector<Address>& in, int64_t count, int channels, Address maps,
+              Address v_maps, const std::vector<Address>& out) {
+             nb::gil_scoped_release release;
+             self.backward(surfels<S>(in, count, channels), at<S>(maps), at<S>(v_maps),
+                           {at<S>(out[0]), at<S>(out[1]), at<S>(out[2]), at<S>(out[3]), at<S>(out[4]),
+                            at<S>(out[5]), at<S>(out[6])});
+           })
+      .def_prop_ro("entries", &Raster<S>::entries);
+}
+
+}  // namespace
+
+NB_MODULE(_refdgs_native, m) {
+  m.def("isa", [] { return std::string(kernels().name); });
+#if defined(_OPENMP)
+  m.attr("openmp") = true;
+#else
+  m.attr("openmp") = false;
+#endif
+  bind_raster<float>(m, "RasterFloat");
+  bind_raster<double>(m, "RasterDouble");
+#if defined(REFDGS_WITH_CUDA)
+  m.attr("cuda_archs") = REFDGS_ARCHS;
+  m.def("cuda_device", &cuda::device_name);
+#else
+  m.attr("cuda_archs") = "";
+  m.def("cuda_device", [] { return std::string(); });
+#endif
+}

@@ -1,0 +1,15 @@
+// The constants of alpha blending, shared by every device and by ops/reference.py.
+#pragma once
+
+namespace refdgs {
+
+constexpr double kMinAlpha = 1.0 / 255.0;
+constexpr double kMaxAlpha = 0.99;
+constexpr double kMinTransmittance = 1e-4;
+// Beyond this squared radius the ray passes the disc by; only the low-pass filter draws it and its
+// depth is the centre's. It exceeds the largest cutoff 2 ln(255).
+constexpr double kHitRadius2 = 12.0;
+// A disc seen edge-on has no usable inverse; its determinant is kept away from zero by this share.
+constexpr double kMinDeterminant = 1e-7;
+
+}  // namespace refdgs

@@ -1,0 +1,20 @@
+// The kernels of the best instruction set this CPU has, chosen once.
+#pragma once
+#include "raster.h"
+
+namespace refdgs {
+
+// Every instruction set fills one of these; see isa_*.cpp.
+struct Kernels {
+  const char* name;
+  int lanes;
+  RasterKernels<float> (*raster)(int channels, Extra extra);
+};
+
+// REFDGS_ISA=baseline|avx2|avx512 caps the choice, for tests.
+const Kernels& kernels();
+
+// Double precision exists once, portable: it proves gradients, it is not fast.
+RasterKernels<double> raster_kernels_double(int channels, Extra extra);
+
+}  // namespace refdgs

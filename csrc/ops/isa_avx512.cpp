@@ -1,0 +1,21 @@
+// The kernels compiled for avx512. Only C headers here: a std:: template instantiated with these flags could
+// be the copy that the linker keeps for everyone.
+#include <math.h>
+#include <stdint.h>
+#if defined(__x86_64__)
+#include <immintrin.h>
+#endif
+#include "../math/blend.h"
+#include "dispatch.h"
+
+#define LANES 16
+namespace refdgs {
+namespace avx512 {
+namespace {
+#include "simd.h"
+#include "rasterize.inl"
+}  // namespace
+extern const Kernels kernels;
+const Kernels kernels = {"avx512", LANES, raster_kernels<float>};
+}  // namespace avx512
+}  // namespace refdgs

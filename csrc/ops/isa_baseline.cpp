@@ -1,0 +1,24 @@
+// The kernels compiled for baseline. Only C headers here: a std:: template instantiated with these flags could
+// be the copy that the linker keeps for everyone.
+#include <math.h>
+#include <stdint.h>
+#if defined(__x86_64__)
+#include <immintrin.h>
+#endif
+#include "../math/blend.h"
+#include "dispatch.h"
+
+#define LANES 4
+namespace refdgs {
+namespace baseline {
+namespace {
+#include "simd.h"
+#include "rasterize.inl"
+}  // namespace
+extern const Kernels kernels;
+const Kernels kernels = {"baseline", LANES, raster_kernels<float>};
+}  // namespace baseline
+RasterKernels<double> raster_kernels_double(int channels, Extra extra) {
+  return baseline::raster_kernels<double>(channels, extra);
+}
+}  // namespace refdgs

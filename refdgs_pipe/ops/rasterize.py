@@ -1,0 +1,167 @@
+"""Drawing surfels: the public function, its checks and its choice of backend."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from refdgs_pipe.camera import Camera
+from refdgs_pipe.errors import DeviceError, ShapeError
+
+Extra = Literal["none", "depth", "distortion"]
+MAX_CHANNELS = 20
+
+
+@dataclass(frozen=True)
+class Surfels:
+    """2-D Gaussians on discs.
+
+    Args:
+        means: (N, 3) centres, world units.
+        quats: (N, 4) w, x, y, z; normalised by the rasteriser.
+        scales: (N, 2) standard deviations along the disc's axes, world units.
+        opacities: (N,) in (0, 1).
+    """
+
+    means: Tensor
+    quats: Tensor
+    scales: Tensor
+    opacities: Tensor
+
+
+@dataclass(frozen=True)
+class Pinhole:
+    """A camera as the rasteriser takes it.
+
+    Args:
+        cam_from_world: (3 or 4, 4) tensor; may require a gradient (pose refinement).
+        fx, fy, cx, cy: pixels; pixel centres are at +0.5.
+        near: depth before which nothing is drawn, world units.
+    """
+
+    cam_from_world: Tensor
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    width: int
+    height: int
+    near: float = 1e-3
+
+    @classmethod
+    def of(cls, camera: Camera, near: float = 1e-3, *, dtype: torch.dtype = torch.float32) -> "Pinhole":
+        K = camera.K
+        if abs(K[0, 1]) > 1e-6 * K[0, 0]:
+            raise ShapeError(f"camera {camera.name} has skew {K[0, 1]}: pixels must be rectangular")
+        pose = torch.from_numpy(np.ascontiguousarray(camera.cam_from_world)).to(dtype)
+        fx, fy, cx, cy = (float(v) for v in (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
+        return cls(pose, fx, fy, cx, cy, camera.width, camera.height, near)
+
+
+@dataclass
+class ScreenStatistics:
+    """What densification wants to know of each surfel.
+
+    Args:
+        radii: (N,) pixels; 0 where the surfel was not drawn.
+        gradients: (N, 2), filled by the backward pass: the length of the summed gradient of the
+            loss with respect to the projected centre, and that of the sum of its per-pixel
+            absolute values (AbsGS); loss per pixel of displacement.
+    """
+
+    radii: Tensor
+    gradients: Tensor
+
+
+@dataclass(frozen=True)
+class Maps:
+    """Blended front to back; `w` is a surfel's share of the pixel.
+
+    Args:
+        features: (H, W, C) sum of w f.
+        alpha: (H, W) sum of w.
+        normal: (H, W, 3) sum of w n, world space, each n facing the camera; None if not asked for.
+        depth: (H, W) sum of w z; median_depth: (H, W) z where the transmittance passes 1/2,
+            else 0; None if not asked for.
+        distortion: (H, W) sum over pairs of w_i w_j (m_i - m_j)^2 with m = near / z.
+    """
+
+    features: Tensor
+    alpha: Tensor
+    normal: Tensor | None
+    depth: Tensor | None
+    median_depth: Tensor | None
+    distortion: Tensor | None
+    statistics: ScreenStatistics = field(repr=False)
+
+
+def planes_of(channels: int, extra: Extra, normals: bool) -> tuple[int, int]:
+    """Number of constant channels (padded to 4) and of all planes in the kernel's output."""
+    padded = (channels + (3 if normals else 0) + 3) // 4 * 4
+    return padded, padded + {"none": 1, "depth": 3, "distortion": 4}[extra]
+
+
+def rasterize(
+    surfels: Surfels,
+    features: Tensor,
+    camera: Pinhole,
+    *,
+    extra: Extra = "none",
+    normals: bool = False,
+    threads: int | None = None,
+) -> Maps:
+    """Render surfels and their features, front to back (2D Gaussian Splatting, Huang et al. 2024).
+
+    The ray is intersected with each disc; a screen-space Gaussian of sigma 1/sqrt(2) pixels around
+    the projected centre keeps small and edge-on discs visible. Contributions below 1/255 are
+    skipped and a pixel stops before its transmittance falls below 1e-4; these decisions and the
+    sorting by centre depth carry no gradient. Everything else does, to every input including the
+    camera's pose.
+
+    Args:
+        features: (N, C) what to blend; C <= 20, or 17 with normals.
+        extra: which of the depth maps to make.
+        threads: default torch's.
+
+    Raises:
+        ShapeError: sizes or types that must agree do not.
+        DeviceError: the tensors are on a device that this build has no kernels for.
+    """
+    _check(surfels, features, camera, normals)
+    if not surfels.means.device.type == "cpu":
+        raise DeviceError(
+            f"tensors are on {surfels.means.device}, but this build draws on the CPU only: "
+            "use --device cpu"
+        )
+    from refdgs_pipe.ops.native import draw
+
+    return draw(surfels, features, camera, extra, normals, threads or torch.get_num_threads())
+
+
+def _check(surfels: Surfels, features: Tensor, camera: Pinhole, normals: bool) -> None:
+    n = surfels.means.shape[0]
+    wanted: dict[str, tuple[Tensor, Callable[[tuple[int, ...]], bool], str]] = {
+        "means": (surfels.means, lambda s: s == (n, 3), "(N, 3)"),
+        "quats": (surfels.quats, lambda s: s == (n, 4), "(N, 4)"),
+        "scales": (surfels.scales, lambda s: s == (n, 2), "(N, 2)"),
+        "opacities": (surfels.opacities, lambda s: s == (n,), "(N,)"),
+        "features": (features, lambda s: len(s) == 2 and s[0] == n, "(N, C)"),
+    }
+    for name, (tensor, fits, shape) in wanted.items():
+        if not fits(tuple(tensor.shape)):
+            raise ShapeError(f"{name} is {tuple(tensor.shape)}, but means has N = {n}: give {shape}")
+        if tensor.dtype != surfels.means.dtype or tensor.device != surfels.means.device:
+            raise ShapeError(
+                f"{name} is {tensor.dtype} on {tensor.device}, means is {surfels.means.dtype} on "
+                f"{surfels.means.device}: give all in one type on one device"
+            )
+    if surfels.means.dtype not in (torch.float32, torch.float64):
+        raise ShapeError(f"means is {surfels.means.dtype}: give float32 (or float64 for proofs)")
+    channels = features.shape[1] + (3 if normals else 0)
+    if not 0 < channels <= MAX_CHANNELS:
+        raise ShapeError(f"{channels} channels with normals; at most {MAX_CHANNELS} are possible")
+    if camera.width < 1 or camera.height < 1 or max(camera.width, camera.height) > 32000:
+        raise ShapeError(f"image of {camera.width}x{camera.height}: give 1 to 32000 pixels a side")
