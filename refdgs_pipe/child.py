@@ -176,7 +176,7 @@ def _serve() -> NoReturn:
         target, arguments = pickle.load(file)
     try:
         result = False, _call(target, arguments, reports)
-    except Exception as error:  # noqa: BLE001 (whatever it is, the parent must hear of it)
+    except Exception as error:
         traceback.print_exc()
         result = True, _portable(error)
     with open(answer, "wb") as file:
@@ -214,7 +214,7 @@ def _portable(error: Exception) -> Exception:
         error = RuntimeError(f"{type(error).__name__}: {error}")
     try:
         pickle.loads(pickle.dumps(error))
-    except Exception:  # noqa: BLE001 (any class may refuse to be pickled)
+    except Exception:
         error = RuntimeError(f"{type(error).__name__}: {error}")
     error.add_note(f"in the child process:\n{note}")
     return error

@@ -14,8 +14,11 @@ class Reused:
 
 @dataclass(frozen=True)
 class Started:
+    """`expected_s` is how long it took last time here, None if it never ran."""
+
     stage: str
     reason: str
+    expected_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -48,10 +51,19 @@ class Warned:
 
 
 @dataclass(frozen=True)
+class Damaged:
+    """A result on disk is not what was written. It was moved to `aside` and is made again."""
+
+    stage: str
+    reason: str
+    aside: str
+
+
+@dataclass(frozen=True)
 class Finished:
     stage: str
     seconds: float
 
 
-Event: TypeAlias = Reused | Started | Progress | Measured | Warned | Finished
+Event: TypeAlias = Reused | Started | Progress | Measured | Warned | Damaged | Finished
 Emit: TypeAlias = Callable[[Event], None]

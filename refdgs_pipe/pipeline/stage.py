@@ -1,6 +1,6 @@
 """What a stage is: a function from artifacts and parameters to one artifact."""
 
-from collections.abc import Callable, Iterable, Iterator, Sized
+from collections.abc import Callable, Iterable, Iterator, Sequence, Sized
 from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Event as Flag
@@ -20,6 +20,14 @@ class Artifact(Protocol):
 
     @classmethod
     def load(cls, folder: Path) -> Self: ...
+
+
+class Source(Protocol):
+    """The user's files, which no stage makes."""
+
+    def files(self) -> Sequence[tuple[str, Path]]:
+        """Every file that would be read, as (name relative to the source, path)."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -72,7 +80,7 @@ class Stage:
 
     name: str
     version: int
-    inputs: dict[str, type[Artifact]]
+    inputs: dict[str, type[Any]]  # artifacts, or the source
     params: type[Params]
     output: type[Artifact]
     run: Callable[..., Artifact]

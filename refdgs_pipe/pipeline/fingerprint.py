@@ -1,0 +1,61 @@
+"""Content hashes, and the memory that saves hashing unchanged photos again."""
+
+import hashlib
+import json
+import time
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from refdgs_pipe.pipeline.atomic import write_json
+
+# A file changed this shortly before it was hashed may change again without its times showing it.
+TOO_NEW_NS = 2_000_000_000
+
+
+@dataclass(frozen=True)
+class Fingerprint:
+    """What a source holds: one hash over it all, and one for each file."""
+
+    digest: str
+    files: dict[str, str]
+
+
+def hash_file(path: Path) -> str:
+    """Hash a file's bytes (BLAKE2b, 128 bits)."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
+
+
+def combine(files: Mapping[str, str]) -> str:
+    """One hash of names and their contents' hashes, whatever their order."""
+    text = "".join(f"{name} {content}\n" for name, content in sorted(files.items()))
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+
+def fingerprint(files: Iterable[tuple[str, Path]], memory: Path) -> Fingerprint:
+    """Hash the named files of a source. What has unchanged size and times is known by `memory`."""
+    known = _read_memory(memory)
+    start = time.time_ns()
+    hashes: dict[str, str] = {}
+    fresh: dict[str, list[int | str]] = {}
+    for name, path in files:
+        while name in hashes:  # files of one name from several folders
+            name += "+"
+        stat = path.stat()
+        facts = [stat.st_size, stat.st_mtime_ns, stat.st_ctime_ns]
+        old = known.get(name, [])
+        hashes[name] = str(old[3]) if old[:3] == facts else hash_file(path)
+        if max(facts[1:]) < start - TOO_NEW_NS:
+            fresh[name] = [*facts, hashes[name]]
+    if fresh != known:
+        with suppress(OSError):  # a workspace that cannot be written can still be looked at
+            write_json(memory, {"files": fresh})
+    return Fingerprint(combine(hashes), hashes)
+
+
+def _read_memory(memory: Path) -> dict[str, list[int | str]]:
+    with suppress(OSError, ValueError, KeyError):
+        return dict(json.loads(memory.read_text("utf-8"))["files"])
+    return {}

@@ -1,0 +1,121 @@
+"""Small stages with the shape of the real ones, for tests of the engine and the command line."""
+
+import os
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+from pydantic import Field
+
+from refdgs_pipe.errors import CaptureError, MeshError
+from refdgs_pipe.params import Params
+from refdgs_pipe.pipeline.stage import Job, Stage, stage
+
+
+@dataclass(frozen=True)
+class Letters:
+    """The source: text files."""
+
+    paths: tuple[Path, ...]
+
+    def files(self) -> list[tuple[str, Path]]:
+        for path in self.paths:
+            if not path.exists():
+                raise CaptureError(f"{path}: no such file or folder")
+        found = [
+            f for path in self.paths for f in (sorted(path.iterdir()) if path.is_dir() else [path])
+        ]
+        if not found:
+            raise CaptureError(f"{self.paths[0]}: nothing in it")
+        return [(path.name, path) for path in found]
+
+
+@dataclass(frozen=True)
+class Text:
+    text: str
+
+    def save(self, folder: Path) -> None:
+        (folder / "text").write_text(self.text)
+        (folder / "parts").mkdir()
+        for i, word in enumerate(self.text.split()[:5]):
+            (folder / "parts" / f"{i}.bin").write_bytes(word.encode() * 1000)
+
+    @classmethod
+    def load(cls, folder: Path) -> Self:
+        return cls((folder / "text").read_text())
+
+
+class Words(Text):
+    pass
+
+
+class Shout(Text):
+    @classmethod
+    def adopt(cls, path: Path) -> Self:
+        return cls(path.read_text())
+
+
+class Page(Text):
+    pass
+
+
+class ReadParams(Params):
+    """How letters are read."""
+
+    keep_spaces: bool = Field(False, description="whether spaces stay as they are, yes or no")
+
+
+class ShoutParams(Params):
+    """How loud."""
+
+    marks: int = Field(1, ge=0, le=9, description="exclamation marks, a count")
+    mood: str = Field("calm", max_length=20, description="how it feels, a word")
+
+
+class PrintParams(Params):
+    """How a page looks."""
+
+    width: float = Field(20.0, gt=1, lt=100, description="width of the page, in letters")
+
+
+@stage(version=1, programs=("pydantic",))
+def read(letters: Letters, params: ReadParams, job: Job) -> Words:
+    """Read all letters."""
+    texts = [path.read_text() for _, path in job.track(letters.files(), "reading")]
+    if "unusable" in texts:
+        raise CaptureError("letter 1 is unusable")
+    if "bug" in texts:
+        raise KeyError("a mistake of ours")
+    text = " ".join(texts)
+    job.measure("letters", len(texts))
+    if "odd" in text:
+        job.warn("an odd letter")
+    return Words(text if params.keep_spaces else " ".join(text.split()))
+
+
+@stage(version=1)
+def shout(words: Words, params: ShoutParams, job: Job) -> Shout:
+    """Work in small steps with checkpoints, like training."""
+    note = job.scratch / "done"
+    done = int(note.read_text()) if note.exists() else 0
+    pause_s = float(os.environ.get("FAKE_STEP_S", "0"))
+    for step in range(done, 10):
+        job.progress("shouting", step, 10, note=f"loudness {step}")
+        time.sleep(pause_s)
+        (job.scratch / "new").write_text(str(step + 1))
+        os.replace(job.scratch / "new", note)
+    job.measure("resumed at", done)
+    if params.mood == "mute":
+        raise MeshError("no voice. Set shout.mood")
+    return Shout(words.text.upper() + "!" * params.marks)
+
+
+@stage(version=1)
+def export(shout: Shout, words: Words, params: PrintParams, job: Job) -> Page:
+    """Print the page."""
+    job.measure("faces", 12)
+    return Page(f"{shout.text} ({words.text}) {params.width}")
+
+
+STAGES: list[Stage] = [read, shout, export]
