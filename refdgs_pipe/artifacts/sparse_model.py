@@ -1,11 +1,23 @@
 """Where every photo was taken, and what of the object was seen from there."""
 
-from dataclasses import dataclass
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from refdgs_pipe.camera import Camera, Lens
+from refdgs_pipe.errors import CorruptError
+from refdgs_pipe.files.colmap import (
+    ColmapCamera,
+    ColmapImage,
+    ColmapModel,
+    read_model,
+    write_model,
+)
 
 F64 = NDArray[np.float64]
 
@@ -55,3 +67,98 @@ class SparseModel:
     sfm_from_world: F64
     metres_per_unit: float | None
     lost: tuple[Lost, ...]
+
+    def save(self, folder: Path) -> None:
+        """Write a COLMAP model of the undistorted cameras to sparse/0, the rest to model.json."""
+        write_model(folder / "sparse" / "0", _to_colmap(self))
+        kinds = {_lens_key(lens): lens for lens in self.lenses.values()}
+        order = {key: i for i, key in enumerate(kinds)}
+        record = {
+            "ball": {"center": self.ball.center.tolist(), "radius": self.ball.radius},
+            "up": self.up.tolist(),
+            "sfm_from_world": self.sfm_from_world.tolist(),
+            "metres_per_unit": self.metres_per_unit,
+            "lenses": [
+                {"K": k.K.tolist(), "distortion": k.distortion.tolist()} for k in kinds.values()
+            ],
+            "lens_of": {name: order[_lens_key(lens)] for name, lens in self.lenses.items()},
+            "test": [camera.name for camera in self.cameras if camera.split == "test"],
+            "lost": [asdict(view) for view in self.lost],
+        }
+        (folder / "model.json").write_text(json.dumps(record, indent=1), encoding="utf-8")
+
+    @classmethod
+    def load(cls, folder: Path) -> Self:
+        """Read what `save` wrote.
+
+        Raises:
+            CorruptError: a file is missing or damaged.
+        """
+        colmap = read_model(folder / "sparse" / "0")
+        try:
+            record = json.loads((folder / "model.json").read_text(encoding="utf-8"))
+            kinds = [
+                Lens(np.array(k["K"], float), np.array(k["distortion"], float))
+                for k in record["lenses"]
+            ]
+            ball = Ball(np.array(record["ball"]["center"], float), record["ball"]["radius"])
+            return cls(
+                cameras=_from_colmap(colmap, set(record["test"])),
+                lenses={name: kinds[i] for name, i in record["lens_of"].items()},
+                points=colmap.xyz,
+                point_colors=colmap.rgb,
+                tracks={_view_name(i.name): i.point_ids for i in colmap.images.values()},
+                ball=ball,
+                up=np.array(record["up"], float),
+                sfm_from_world=np.array(record["sfm_from_world"], float),
+                metres_per_unit=record["metres_per_unit"],
+                lost=tuple(Lost(**view) for view in record["lost"]),
+            )
+        except (OSError, ValueError, KeyError, IndexError, TypeError) as error:
+            raise CorruptError(f"{folder / 'model.json'}: {error}") from None
+
+
+def _view_name(image_name: str) -> str:
+    return image_name.removesuffix(".png")
+
+
+def _lens_key(lens: Lens) -> tuple[float, ...]:
+    return (*lens.K.ravel().tolist(), *lens.distortion.tolist())
+
+
+def _to_colmap(model: SparseModel) -> ColmapModel:
+    """The keypoints are where the points project to; the points keep their order as their ids."""
+    cameras: dict[tuple[Any, ...], int] = {}
+    images = {}
+    for number, camera in enumerate(model.cameras, start=1):
+        K, pose = camera.K, camera.cam_from_world
+        params = (K[0, 0], K[1, 1], K[0, 2], K[1, 2])
+        camera_id = cameras.setdefault((camera.width, camera.height, *params), len(cameras) + 1)
+        ids = model.tracks.get(camera.name, np.zeros(0, np.int64))
+        quat = Rotation.from_matrix(pose[:3, :3]).as_quat(scalar_first=True)
+        keypoints, _ = camera.project(model.points[ids])
+        file = f"{camera.name}.png"
+        images[number] = ColmapImage(quat, pose[:3, 3], camera_id, file, keypoints, ids)
+    return ColmapModel(
+        {i: ColmapCamera("PINHOLE", k[0], k[1], np.array(k[2:])) for k, i in cameras.items()},
+        images,
+        np.arange(len(model.points), dtype=np.int64),
+        model.points,
+        model.point_colors,
+        np.full(len(model.points), -1.0),
+    )
+
+
+def _from_colmap(colmap: ColmapModel, test: set[str]) -> tuple[Camera, ...]:
+    cameras = []
+    for image in colmap.images.values():
+        lens = colmap.cameras[image.camera_id]
+        fx, fy, cx, cy = lens.params
+        pose = np.eye(4)
+        pose[:3, :3] = Rotation.from_quat(image.quat, scalar_first=True).as_matrix()
+        pose[:3, 3] = image.translation
+        K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
+        name = _view_name(image.name)
+        split = "test" if name in test else "train"
+        cameras.append(Camera(name, lens.width, lens.height, K, pose, split))
+    return tuple(sorted(cameras, key=lambda camera: camera.name))

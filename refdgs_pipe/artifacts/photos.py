@@ -1,0 +1,93 @@
+"""Photos as the cameras of a sparse model see them: undistorted, sRGB, at any smaller size."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from refdgs_pipe.artifacts.sparse_model import SparseModel
+from refdgs_pipe.artifacts.views import Views
+from refdgs_pipe.camera import Camera, Lens
+from refdgs_pipe.color import srgb_from_linear
+from refdgs_pipe.files.images import read_png
+
+F32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Photo:
+    """One photo, aligned with `camera`.
+
+    Args:
+        rgb: (H, W, 3) sRGB-encoded in [0, 1]; straight, not premultiplied by the mask.
+        mask: (H, W) how much of the pixel is object, or None.
+        valid: (H, W) false where the undistorted photo has no source.
+    """
+
+    camera: Camera
+    rgb: F32
+    mask: F32 | None
+    valid: NDArray[np.bool_]
+
+
+def load_photo(views: Views, model: SparseModel, camera: Camera, *, scale: float = 1.0) -> Photo:
+    """Read the photo of a camera of the model.
+
+    Args:
+        scale: size of the result relative to the camera's; at most 1.
+
+    Raises:
+        CorruptError: the image or its mask is missing or damaged.
+    """
+    view = views[camera.name]
+    rgb = _unit(read_png(views.image_path(view)))
+    mask_path = views.mask_path(view)
+    mask = None if mask_path is None else _unit(read_png(mask_path))
+    valid = np.ones(rgb.shape[:2], np.float32)
+    if views.background == "removed" and mask is not None:
+        rgb = rgb * mask[..., None]  # resampling mixes premultiplied colour
+    lens = model.lenses[camera.name]
+    if not (lens.is_pinhole and np.array_equal(lens.K, camera.K)):
+        grid = _undistortion(lens, camera)
+        rgb, valid = _remap(rgb, grid), _remap(valid, grid)
+        mask = None if mask is None else _remap(mask, grid)
+    size = (max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
+    if size != (camera.width, camera.height):
+        rgb, valid = _shrink(rgb, size), _shrink(valid, size)
+        mask = None if mask is None else _shrink(mask, size)
+    if views.background == "removed" and mask is not None:
+        rgb = np.divide(rgb, mask[..., None], out=np.zeros_like(rgb), where=mask[..., None] > 1e-3)
+    rgb = srgb_from_linear(rgb) if views.color_space == "linear" else np.clip(rgb, 0, 1)
+    return Photo(camera.resized(*size), rgb, mask, valid > 0.999)
+
+
+def _unit(pixels: NDArray[np.uint8] | NDArray[np.uint16]) -> F32:
+    return pixels.astype(np.float32) / np.float32(np.iinfo(pixels.dtype).max)
+
+
+def _undistortion(lens: Lens, camera: Camera) -> tuple[F32, F32]:
+    """Where in the photo each pixel of the pinhole camera comes from, in OpenCV's pixel indices.
+
+    OpenCV puts the centre of pixel 0 at 0, we at 0.5.
+    """
+    shift = np.zeros((3, 3))
+    shift[:2, 2] = 0.5
+    grid = cv2.initUndistortRectifyMap(
+        lens.K - shift,
+        lens.distortion,
+        None,
+        camera.K - shift,
+        (camera.width, camera.height),
+        cv2.CV_32FC1,
+    )
+    return np.asarray(grid[0], np.float32), np.asarray(grid[1], np.float32)
+
+
+def _remap(image: F32, grid: tuple[F32, F32]) -> F32:
+    out = cv2.remap(image, *grid, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+    return np.asarray(out, np.float32)
+
+
+def _shrink(image: F32, size: tuple[int, int]) -> F32:
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.float32)

@@ -1,0 +1,182 @@
+"""The photos as the pipeline works on them: upright, one folder, one colour space."""
+
+import json
+import shutil
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from refdgs_pipe.camera import F64, Lens
+
+ColorSpace = Literal["srgb", "linear"]
+Background = Literal["photo", "removed", "masked"]
+
+
+@dataclass(frozen=True)
+class Exif:
+    """What the camera wrote about a photo; None where it did not say."""
+
+    make: str | None = None
+    model: str | None = None
+    lens: str | None = None
+    focal_mm: float | None = None
+    focal_35mm: float | None = None
+    sensor_width_mm: float | None = None
+    time: str | None = None
+    exposure_s: float | None = None
+    aperture: float | None = None
+    iso: float | None = None
+
+
+@dataclass(frozen=True)
+class KnownPose:
+    """A pose that came with the capture; `lens` is in pixels of the view's image."""
+
+    lens: Lens
+    cam_from_world: F64
+
+
+@dataclass(frozen=True)
+class View:
+    """One usable photo.
+
+    Args:
+        name: unique in the capture, safe as a file name.
+        file: the image below `Views.folder`; always a PNG.
+        width, height: pixels of that image.
+        mask: soft object mask below `Views.folder` (white is object), or None.
+        split: "train", or "test" for a view held out from training.
+        sharpness: variance of the Laplacian at a fixed scale, 8-bit levels squared.
+        exposure: mean linear luminance in [0, 1].
+        source: the user's file, relative to the capture.
+    """
+
+    name: str
+    file: str
+    width: int
+    height: int
+    mask: str | None
+    split: str
+    exif: Exif
+    sharpness: float
+    exposure: float
+    known: KnownPose | None
+    source: str
+
+
+@dataclass(frozen=True)
+class Skipped:
+    """A photo that could not be used, and why."""
+
+    name: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class KnownPoints:
+    """Sparse points that came with the poses.
+
+    Args:
+        xyz: (P, 3) world; colors: (P, 3) uint8 sRGB.
+        tracks: for each view name the (n,) int64 indices of the points it sees.
+    """
+
+    xyz: F64
+    colors: NDArray[np.uint8]
+    tracks: dict[str, NDArray[np.int64]]
+
+
+@dataclass(frozen=True)
+class Views:
+    """All usable photos of a capture.
+
+    Args:
+        folder: holds images/, masks/ and views.json.
+        items: sorted as the photos were taken (by name).
+        color_space: "srgb" or "linear" (16-bit, from camera RAW).
+        background: "photo": nothing is masked; "masked": real photos with masks; "removed": the
+            background was removed and the colour is straight (not premultiplied).
+        skipped: what was not usable.
+        points: sparse points of a known model, if any.
+    """
+
+    folder: Path
+    items: tuple[View, ...]
+    color_space: ColorSpace
+    background: Background
+    skipped: tuple[Skipped, ...] = ()
+    points: KnownPoints | None = None
+
+    def __getitem__(self, name: str) -> View:
+        """The view of that name."""
+        return next(view for view in self.items if view.name == name)
+
+    @property
+    def has_known_poses(self) -> bool:
+        return bool(self.items) and all(view.known is not None for view in self.items)
+
+    def image_path(self, view: View) -> Path:
+        return self.folder / view.file
+
+    def mask_path(self, view: View) -> Path | None:
+        return None if view.mask is None else self.folder / view.mask
+
+    def save(self, folder: Path) -> None:
+        """Write views.json (and points.npz); the pictures are copied unless they are there."""
+        folder.mkdir(parents=True, exist_ok=True)
+        if folder != self.folder:
+            for view in self.items:
+                for file in filter(None, (view.file, view.mask)):
+                    (folder / file).parent.mkdir(parents=True, exist_ok=True)
+                    shutil.copyfile(self.folder / file, folder / file)
+        record = {
+            "color_space": self.color_space,
+            "background": self.background,
+            "views": [_view_to_json(view) for view in self.items],
+            "skipped": [asdict(s) for s in self.skipped],
+        }
+        (folder / "views.json").write_text(json.dumps(record, indent=1), encoding="utf-8")
+        if self.points is not None:
+            tracks = {f"track/{name}": ids for name, ids in self.points.tracks.items()}
+            np.savez(
+                folder / "points.npz",
+                allow_pickle=False,
+                xyz=self.points.xyz,
+                colors=self.points.colors,
+                **tracks,
+            )
+
+    @classmethod
+    def load(cls, folder: Path) -> Self:
+        record = json.loads((folder / "views.json").read_text(encoding="utf-8"))
+        items = tuple(_view_from_json(r) for r in record["views"])
+        skipped = tuple(Skipped(**s) for s in record["skipped"])
+        points = None
+        if (folder / "points.npz").exists():
+            with np.load(folder / "points.npz", allow_pickle=False) as data:
+                tracks = {k[6:]: data[k] for k in data.files if k.startswith("track/")}
+                points = KnownPoints(data["xyz"], data["colors"], tracks)
+        return cls(folder, items, record["color_space"], record["background"], skipped, points)
+
+
+def _view_to_json(view: View) -> dict[str, Any]:
+    record = {k: v for k, v in vars(view).items() if k not in ("exif", "known")}
+    record["exif"] = asdict(view.exif)
+    if view.known is not None:
+        record["known"] = {
+            "K": view.known.lens.K.tolist(),
+            "distortion": view.known.lens.distortion.tolist(),
+            "cam_from_world": view.known.cam_from_world.tolist(),
+        }
+    return record
+
+
+def _view_from_json(record: dict[str, Any]) -> View:
+    known = record.pop("known", None)
+    if known is not None:
+        lens = Lens(np.array(known["K"], float), np.array(known["distortion"], float))
+        known = KnownPose(lens, np.array(known["cam_from_world"], float))
+    return View(**{**record, "exif": Exif(**record["exif"]), "known": known})

@@ -1,0 +1,37 @@
+"""Which reader a capture needs; all give the same thing."""
+
+from dataclasses import dataclass
+
+from refdgs_pipe.artifacts.capture import Frame, Layout, relative_name, safe_names
+from refdgs_pipe.artifacts.views import KnownPoints, Skipped
+from refdgs_pipe.datasets.blender import read_blender
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a capture holds, before any pixel is decoded.
+
+    Args:
+        may_hold_out: the capture has no test views of its own.
+    """
+
+    frames: list[Frame]
+    skipped: list[Skipped]
+    points: KnownPoints | None = None
+    may_hold_out: bool = True
+
+
+def read_capture(layout: Layout) -> Found:
+    """List the photos of a capture, with masks and poses where it has them.
+
+    Raises:
+        InputError: its files of known poses are damaged.
+        CorruptError: its COLMAP model is damaged.
+    """
+    if layout.kind == "blender":
+        frames, skipped = read_blender(layout)
+        return Found(frames, skipped, may_hold_out=False)
+    sources = [relative_name(layout.root, path) for path in layout.photos]
+    names = safe_names(sources)
+    frames = [Frame(p, s, n) for p, s, n in zip(layout.photos, sources, names, strict=True)]
+    return Found(frames, [])

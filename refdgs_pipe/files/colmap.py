@@ -1,0 +1,244 @@
+"""COLMAP models, text and binary, to arrays and back.
+
+Format: https://colmap.github.io/format.html. Rigs and frames (COLMAP 4) repeat what trivial models
+say in images.*; they are not read and not written.
+"""
+
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from refdgs_pipe.errors import CorruptError
+
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+
+MODEL_NAMES = (
+    "SIMPLE_PINHOLE",
+    "PINHOLE",
+    "SIMPLE_RADIAL",
+    "RADIAL",
+    "OPENCV",
+    "OPENCV_FISHEYE",
+    "FULL_OPENCV",
+    "FOV",
+    "SIMPLE_RADIAL_FISHEYE",
+    "RADIAL_FISHEYE",
+    "THIN_PRISM_FISHEYE",
+)
+_PARAM_COUNTS = (3, 4, 4, 5, 8, 8, 12, 5, 4, 5, 12)
+_POINT2D = np.dtype([("xy", "<f8", 2), ("id", "<i8")])
+
+
+@dataclass(frozen=True)
+class ColmapCamera:
+    model: str
+    width: int
+    height: int
+    params: F64
+
+
+@dataclass(frozen=True)
+class ColmapImage:
+    """Pose as quaternion wxyz and translation, cam_from_world; (n, 2) keypoints, (n,) point ids."""
+
+    quat: F64
+    translation: F64
+    camera_id: int
+    name: str
+    keypoints: F64
+    point_ids: I64
+
+
+@dataclass(frozen=True)
+class ColmapModel:
+    """Cameras and images by id; points as (P,) ids, (P, 3) positions, colours, (P,) errors."""
+
+    cameras: dict[int, ColmapCamera]
+    images: dict[int, ColmapImage]
+    point_ids: I64
+    xyz: F64
+    rgb: NDArray[np.uint8]
+    errors: F64
+
+
+def read_model(folder: Path) -> ColmapModel:
+    """Read a binary model, or a text one.
+
+    Raises:
+        CorruptError: a file is missing, damaged, or of an unknown camera model.
+    """
+    try:
+        if (folder / "cameras.bin").exists():
+            return _read_binary(folder)
+        return _read_text(folder)
+    except FileNotFoundError as error:
+        raise CorruptError(f"{folder}: no COLMAP model ({error.filename} is missing)") from None
+    except (struct.error, ValueError, IndexError, KeyError, UnicodeDecodeError) as error:
+        raise CorruptError(f"{folder}: damaged COLMAP model ({error})") from None
+
+
+def write_model(folder: Path, model: ColmapModel, *, text: bool = False) -> None:
+    """Write cameras, images and points3D into a folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    tracks = _tracks(model)
+    if text:
+        _write_text(folder, model, tracks)
+    else:
+        _write_binary(folder, model, tracks)
+
+
+def _tracks(model: ColmapModel) -> dict[int, list[tuple[int, int]]]:
+    """point id -> (image id, index of its keypoint)."""
+    tracks: dict[int, list[tuple[int, int]]] = {int(i): [] for i in model.point_ids}
+    for image_id, image in model.images.items():
+        for index in np.flatnonzero(image.point_ids >= 0):
+            tracks[int(image.point_ids[index])].append((image_id, int(index)))
+    return tracks
+
+
+def _take(file: BinaryIO, layout: str) -> tuple[Any, ...]:
+    return struct.unpack("<" + layout, file.read(struct.calcsize("<" + layout)))
+
+
+def _read_binary(folder: Path) -> ColmapModel:
+    cameras, images = {}, {}
+    with (folder / "cameras.bin").open("rb") as file:
+        for _ in range(_take(file, "Q")[0]):
+            camera_id, model_id, width, height = _take(file, "iiQQ")
+            params = np.array(_take(file, "d" * _PARAM_COUNTS[model_id]))
+            cameras[camera_id] = ColmapCamera(MODEL_NAMES[model_id], width, height, params)
+    with (folder / "images.bin").open("rb") as file:
+        for _ in range(_take(file, "Q")[0]):
+            image_id, *pose, camera_id = _take(file, "i7di")
+            name = _read_name(file)
+            count = _take(file, "Q")[0]
+            seen = np.frombuffer(file.read(count * _POINT2D.itemsize), _POINT2D, count)
+            images[image_id] = ColmapImage(
+                np.array(pose[:4]),
+                np.array(pose[4:]),
+                camera_id,
+                name,
+                seen["xy"].copy(),
+                seen["id"].copy(),
+            )
+    rows = []
+    with (folder / "points3D.bin").open("rb") as file:
+        for _ in range(_take(file, "Q")[0]):
+            row = _take(file, "Q3d3BdQ")
+            if len(file.read(8 * row[8])) != 8 * row[8]:
+                raise ValueError("points3D.bin ends early")
+            rows.append(row[:8])
+    return _model(cameras, images, rows)
+
+
+def _read_name(file: BinaryIO) -> str:
+    name = bytearray()
+    while (char := file.read(1)) != b"\0":
+        if not char:
+            raise ValueError("images.bin ends early")
+        name += char
+    return name.decode("utf-8")
+
+
+def _model(
+    cameras: dict[int, ColmapCamera], images: dict[int, ColmapImage], rows: list[tuple[Any, ...]]
+) -> ColmapModel:
+    table = np.array([row[1:] for row in rows], float).reshape(-1, 7)
+    ids = np.array([row[0] for row in rows], np.int64)
+    return ColmapModel(
+        cameras, images, ids, table[:, :3], table[:, 3:6].astype(np.uint8), table[:, 6]
+    )
+
+
+def _lines(path: Path) -> list[str]:
+    return [t for t in path.read_text(encoding="utf-8").splitlines() if not t.startswith("#")]
+
+
+def _read_text(folder: Path) -> ColmapModel:
+    cameras, images = {}, {}
+    for line in filter(None, _lines(folder / "cameras.txt")):
+        camera_id, name, width, height, *params = line.split()
+        values = np.array(params, float)
+        if len(values) != _PARAM_COUNTS[MODEL_NAMES.index(name)]:
+            raise ValueError(f"camera {camera_id}: {name} has {len(values)} parameters")
+        cameras[int(camera_id)] = ColmapCamera(name, int(width), int(height), values)
+    lines = _lines(folder / "images.txt")
+    for pose, seen in zip(lines[::2], lines[1::2], strict=False):
+        image_id, *numbers, camera_id, name = pose.split(" ", 9)
+        values = np.array(numbers, float)
+        points = np.array(seen.split(), float).reshape(-1, 3)
+        images[int(image_id)] = ColmapImage(
+            values[:4],
+            values[4:],
+            int(camera_id),
+            name.strip(),
+            points[:, :2],
+            points[:, 2].astype(np.int64),
+        )
+    rows: list[tuple[Any, ...]] = []
+    for line in filter(None, _lines(folder / "points3D.txt")):
+        point_id, *rest = line.split()[:8]
+        rows.append((int(point_id), *map(float, rest)))
+    return _model(cameras, images, rows)
+
+
+def _write_binary(
+    folder: Path, model: ColmapModel, tracks: dict[int, list[tuple[int, int]]]
+) -> None:
+    with (folder / "cameras.bin").open("wb") as file:
+        file.write(struct.pack("<Q", len(model.cameras)))
+        for camera_id, c in sorted(model.cameras.items()):
+            head = (camera_id, MODEL_NAMES.index(c.model), c.width, c.height)
+            file.write(struct.pack(f"<iiQQ{len(c.params)}d", *head, *c.params))
+    with (folder / "images.bin").open("wb") as file:
+        file.write(struct.pack("<Q", len(model.images)))
+        for image_id, i in sorted(model.images.items()):
+            file.write(struct.pack("<i7di", image_id, *i.quat, *i.translation, i.camera_id))
+            file.write(i.name.encode("utf-8") + b"\0" + struct.pack("<Q", len(i.keypoints)))
+            seen = np.empty(len(i.keypoints), _POINT2D)
+            seen["xy"], seen["id"] = i.keypoints, i.point_ids
+            file.write(seen.tobytes())
+    with (folder / "points3D.bin").open("wb") as file:
+        file.write(struct.pack("<Q", len(model.point_ids)))
+        for key, xyz, rgb, error in zip(
+            model.point_ids, model.xyz, model.rgb, model.errors, strict=True
+        ):
+            track = tracks[int(key)]
+            file.write(struct.pack("<Q3d3BdQ", key, *xyz, *rgb, error, len(track)))
+            file.write(np.array(track, "<i4").tobytes())
+
+
+def _write_text(folder: Path, model: ColmapModel, tracks: dict[int, list[tuple[int, int]]]) -> None:
+    cameras = [
+        f"{key} {c.model} {c.width} {c.height} {_numbers(c.params)}"
+        for key, c in sorted(model.cameras.items())
+    ]
+    images = []
+    for key, i in sorted(model.images.items()):
+        pose = _numbers([*i.quat, *i.translation])
+        seen = zip(i.keypoints, i.point_ids, strict=True)
+        images.append(f"{key} {pose} {i.camera_id} {i.name}")
+        images.append(" ".join(f"{_numbers(xy)} {point}" for xy, point in seen))
+    points = []
+    for key, xyz, rgb, error in zip(
+        model.point_ids, model.xyz, model.rgb, model.errors, strict=True
+    ):
+        track = " ".join(f"{image} {index}" for image, index in tracks[int(key)])
+        points.append(f"{key} {_numbers(xyz)} {rgb[0]} {rgb[1]} {rgb[2]} {float(error)!r} {track}")
+    headers = {
+        "cameras": "# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]",
+        "images": "# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then X Y POINT3D_ID ...",
+        "points3D": "# POINT3D_ID X Y Z R G B ERROR IMAGE_ID POINT2D_INDEX ...",
+    }
+    for name, rows in (("cameras", cameras), ("images", images), ("points3D", points)):
+        text = "\n".join([headers[name], *rows]) + "\n"
+        (folder / f"{name}.txt").write_text(text, encoding="utf-8")
+
+
+def _numbers(values: Any) -> str:
+    return " ".join(repr(float(value)) for value in values)

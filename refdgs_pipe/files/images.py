@@ -1,0 +1,203 @@
+"""Image files <-> arrays. Formats are told by content, never by suffix."""
+
+import warnings
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageCms
+
+from refdgs_pipe.errors import CaptureError, CorruptError
+
+Pixels = NDArray[np.uint8] | NDArray[np.uint16]
+
+MAX_PIXELS = 300_000_000  # larger headers are refused before anything is decoded
+_PILLOW = {"jpeg": "JPEG", "png": "PNG", "webp": "WEBP", "tiff": "TIFF", "avif": "AVIF"}
+
+
+@dataclass(frozen=True)
+class Header:
+    """What a file says about itself before it is decoded; size as stored, not upright."""
+
+    format: str
+    width: int
+    height: int
+    orientation: int
+
+
+def sniff(path: Path) -> str:
+    """The format by content: jpeg png webp tiff avif heic raw, or "" if it is none of them.
+
+    Most camera RAW files are TIFFs too: "tiff" may still be one.
+    """
+    with path.open("rb") as file:
+        head = file.read(32)
+    kinds = (
+        (head.startswith(b"\xff\xd8\xff"), "jpeg"),
+        (head.startswith(b"\x89PNG\r\n\x1a\n"), "png"),
+        (head[:4] == b"RIFF" and head[8:12] == b"WEBP", "webp"),
+        (head[:4] in (b"II*\0", b"MM\0*"), "tiff"),
+        (head[4:8] == b"ftyp" and head[8:11] in (b"avi",), "avif"),
+        (head[4:8] == b"ftyp" and head[8:11] in (b"hei", b"hev", b"mif", b"msf"), "heic"),
+        (head[4:11] == b"ftypcrx", "raw"),
+        (head[:15] == b"FUJIFILMCCD-RAW", "raw"),
+        (head[:4] in (b"IIRO", b"IIRS", b"MMOR", b"IIU\0", b"FOVb", b"\0MRM"), "raw"),
+        (head[6:14] == b"HEAPCCDR", "raw"),
+    )
+    return next((name for matches, name in kinds if matches), "")
+
+
+def read_header(path: Path) -> Header:
+    """Format, size and EXIF orientation, without decoding.
+
+    Raises:
+        CaptureError: not an image, or too large to be a photo.
+    """
+    kind = sniff(path)
+    if kind not in _PILLOW:
+        raise CaptureError(_why_unknown(path, kind))
+    try:
+        with _open(path, kind) as image:
+            width, height = image.size
+            orientation = int(image.getexif().get(0x0112, 1))
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        raise CaptureError(f"{path.name}: damaged {kind} header ({error})") from None
+    if width * height > MAX_PIXELS:
+        raise CaptureError(
+            f"{path.name}: {width} x {height} pixels; at most {MAX_PIXELS} are read"
+        )
+    return Header(kind, width, height, orientation if 1 <= orientation <= 8 else 1)
+
+
+def read_photo(path: Path, *, upright: bool = True) -> Pixels:
+    """Decode a photo strictly.
+
+    Args:
+        upright: turn the pixels as the EXIF orientation asks.
+
+    Returns:
+        (H, W, 3 or 4) sRGB-encoded, uint8, or uint16 for a 16-bit PNG or TIFF.
+
+    Raises:
+        CaptureError: not an image, truncated, or of a kind that is not read.
+    """
+    header = read_header(path)
+    data = path.read_bytes()
+    if header.format == "jpeg" and data.rfind(b"\xff\xd9") < len(data) // 2:
+        raise CaptureError(f"{path.name}: the JPEG ends early. Copy it again from the card")
+    try:
+        pixels = _decode_16bit(data, header) if _is_16bit(path, data) else _decode(path, header)
+    except (OSError, SyntaxError, ValueError, cv2.error) as error:
+        raise CaptureError(f"{path.name}: {error}. Copy it again from the card") from None
+    return orient(pixels, header.orientation) if upright else pixels
+
+
+def orient(pixels: Pixels, orientation: int) -> Pixels:
+    """Turn pixels (H, W, ...) as EXIF orientation 1 to 8 asks (TIFF 6.0 section 8)."""
+    if orientation in (5, 6, 7, 8):
+        pixels = pixels.swapaxes(0, 1)
+    if orientation in (2, 3, 6, 7):
+        pixels = pixels[:, ::-1]
+    if orientation in (3, 4, 7, 8):
+        pixels = pixels[::-1]
+    return np.ascontiguousarray(pixels)
+
+
+def read_png(path: Path) -> Pixels:
+    """One of our own PNGs: (H, W) or (H, W, 3), uint8 or uint16.
+
+    Raises:
+        CorruptError: missing or damaged.
+    """
+    try:
+        data = np.fromfile(path, np.uint8)
+    except OSError as error:
+        raise CorruptError(f"{path}: {error.strerror}") from None
+    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) else None
+    if image is None:
+        raise CorruptError(f"{path}: damaged PNG")
+    return _rgb(image)
+
+
+def write_png(path: Path, pixels: Pixels) -> None:
+    """Write (H, W) or (H, W, 3 or 4), uint8 or uint16, fast rather than small."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    done, data = cv2.imencode(".png", _rgb(pixels), [cv2.IMWRITE_PNG_COMPRESSION, 2])
+    if not done:
+        raise ValueError(f"{path.name}: cannot encode {pixels.shape} {pixels.dtype} as PNG")
+    path.write_bytes(data.tobytes())
+
+
+def _rgb(image: Any) -> Any:
+    """Swap red and blue; the same both ways."""
+    if image.ndim == 2:
+        return image
+    return image[..., ::-1] if image.shape[2] == 3 else image[..., [2, 1, 0, 3]]
+
+
+def _why_unknown(path: Path, kind: str) -> str:
+    if kind == "heic":
+        return f"{path.name}: HEIC is not read (patent licences). Export it as JPEG"
+    return f"{path.name}: not a photo"
+
+
+def _open(source: Any, kind: str) -> Image.Image:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+        return Image.open(source, formats=[_PILLOW[kind]])
+
+
+def _is_16bit(path: Path, data: bytes) -> bool:
+    kind = sniff(path)
+    if kind == "png":
+        return data[24] == 16
+    if kind == "tiff":
+        with _open(BytesIO(data), kind) as image:
+            bits = getattr(image, "tag_v2", {}).get(258, (8,))
+            return max(np.atleast_1d(np.array(bits))) > 8
+    return False
+
+
+def _decode_16bit(data: bytes, header: Header) -> Pixels:
+    flags = cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    if image is None:
+        raise ValueError(f"damaged {header.format}")
+    if image.dtype != np.uint16:
+        raise ValueError(f"{image.dtype} samples are not read: export 8 or 16 bits")
+    if image.ndim == 2:
+        image = np.repeat(image[..., None], 3, axis=2)
+    return np.ascontiguousarray(_rgb(image))
+
+
+def _decode(path: Path, header: Header) -> Pixels:
+    with _open(path, header.format) as image:
+        image.load()
+        alpha = "A" in image.getbands() or "transparency" in image.info
+        profile = image.info.get("icc_profile")
+        picture = image.convert("RGBA" if alpha else "RGB") if not profile else image
+        if profile:
+            picture = _to_srgb(image, profile, "RGBA" if alpha else "RGB")
+        return np.array(picture)
+
+
+def _to_srgb(image: Image.Image, profile: bytes, mode: str) -> Image.Image:
+    """Phones write Display P3, studios Adobe RGB; a profile that cannot be used is left out."""
+    if image.mode not in ("RGB", "RGBA", "CMYK"):
+        return image.convert(mode)
+    try:
+        source = ImageCms.ImageCmsProfile(BytesIO(profile))
+        target = ImageCms.createProfile("sRGB")
+        color = image if image.mode == "CMYK" else image.convert("RGB")
+        converted = ImageCms.profileToProfile(color, source, target, outputMode="RGB")
+    except (ImageCms.PyCMSError, OSError):
+        return image.convert(mode)
+    if converted is None:
+        return image.convert(mode)
+    if mode == "RGBA":
+        converted.putalpha(image.convert("RGBA").getchannel("A"))
+    return converted

@@ -1,0 +1,179 @@
+"""From the user's files to views: decoded, upright, masked, at most so large, in one folder."""
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from refdgs_pipe.artifacts.capture import Frame
+from refdgs_pipe.artifacts.views import Exif, KnownPose, Skipped, View
+from refdgs_pipe.camera import Lens
+from refdgs_pipe.color import srgb_from_linear
+from refdgs_pipe.errors import CaptureError
+from refdgs_pipe.files.images import Pixels, orient, read_header, read_photo, sniff, write_png
+from refdgs_pipe.imaging.masks import U8, are_inverted, check_mask, read_mask
+from refdgs_pipe.imaging.metadata import read_exif
+from refdgs_pipe.imaging.quality import sharpness_and_exposure
+from refdgs_pipe.imaging.raw import Development, develop, is_raw, plan_development
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How the whole set is treated.
+
+    Args:
+        max_side: longer images are reduced to this, pixels.
+        raw: the photos that are camera RAW.
+        development: for these.
+        linear: whether every photo is RAW, so that the set stays linear.
+        inverted_masks: black marks the object.
+    """
+
+    max_side: int
+    raw: frozenset[Path]
+    development: Development | None
+    linear: bool
+    inverted_masks: bool
+
+
+def plan_set(frames: list[Frame], *, max_side: int) -> Plan:
+    """Look at all files once and decide how to treat them alike."""
+    raw = [frame.path for frame in frames if is_raw(frame.path)]
+    pictures = [f for f in frames if f.path in set(raw) or sniff(f.path)]
+    development = plan_development([(p, read_exif(p)) for p in raw]) if raw else None
+    inverted = are_inverted(_readable_masks(frames))
+    return Plan(max_side, frozenset(raw), development, len(raw) == len(pictures) > 0, inverted)
+
+
+def without_twins(frames: list[Frame], raw: frozenset[Path]) -> tuple[list[Frame], list[Skipped]]:
+    """Drop the JPEG that a camera wrote beside a RAW file of the same name."""
+    stems = {path.with_suffix("") for path in raw}
+    kept, skipped = [], []
+    for frame in frames:
+        if frame.path not in raw and frame.path.with_suffix("") in stems:
+            skipped.append(Skipped(frame.source, "the same photo is there as camera RAW"))
+        else:
+            kept.append(frame)
+    return kept, skipped
+
+
+def prepare_set(
+    frames: list[Frame], folder: Path, plan: Plan, *, threads: int
+) -> Iterator[View | Skipped]:
+    """Write every photo below `folder`, in order, several at a time; bad ones become Skipped."""
+
+    def attempt(frame: Frame) -> View | Skipped:
+        try:
+            return prepare_photo(frame, folder, plan)
+        except CaptureError as error:
+            return Skipped(frame.source, str(error))
+
+    pool = ThreadPoolExecutor(threads)
+    try:
+        yield from pool.map(attempt, frames)
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def prepare_photo(frame: Frame, folder: Path, plan: Plan) -> View:
+    """Write one photo and its mask below `folder`.
+
+    Poses that came with a capture belong to the pixels as stored, so these are not turned.
+
+    Raises:
+        CaptureError: the photo or its mask cannot be used, with the reason.
+    """
+    exif = read_exif(frame.path)
+    pixels, orientation = _read(frame, exif, plan)
+    mask = _mask(frame, pixels, orientation, plan)
+    stored = (pixels.shape[1], pixels.shape[0])
+    pixels, mask = _reduce(pixels[..., :3], mask, plan.max_side)
+    height, width = pixels.shape[:2]
+    write_png(folder / "images" / f"{frame.name}.png", pixels)
+    if mask is not None:
+        write_png(folder / "masks" / f"{frame.name}.png", mask)
+    unit = pixels.astype(np.float32) / np.float32(np.iinfo(pixels.dtype).max)
+    sharpness, exposure = sharpness_and_exposure(srgb_from_linear(unit) if plan.linear else unit)
+    return View(
+        name=frame.name,
+        file=f"images/{frame.name}.png",
+        width=width,
+        height=height,
+        mask=None if mask is None else f"masks/{frame.name}.png",
+        split=frame.split,
+        exif=exif,
+        sharpness=sharpness,
+        exposure=exposure,
+        known=_resized_pose(frame.known, stored, (width, height)),
+        source=frame.source,
+    )
+
+
+def _read(frame: Frame, exif: Exif, plan: Plan) -> tuple[Pixels, int]:
+    """Pixels (H, W, 3 or 4) and the orientation that was applied."""
+    if frame.path in plan.raw and plan.development is not None:
+        linear = develop(frame.path, exif, plan.development)
+        if plan.linear:
+            return linear, 1
+        encoded = srgb_from_linear(linear.astype(np.float32) / np.float32(65535))
+        return (encoded * 65535).round().astype(np.uint16), 1
+    orientation = read_header(frame.path).orientation if frame.known is None else 1
+    return read_photo(frame.path, upright=frame.known is None), orientation
+
+
+def _mask(frame: Frame, pixels: Pixels, orientation: int, plan: Plan) -> U8 | None:
+    """The mask at the photo's size, from its file or from the alpha channel."""
+    size = (pixels.shape[1], pixels.shape[0])
+    if frame.mask is None:
+        if pixels.shape[2] == 3:
+            return None
+        alpha = (pixels[..., 3] >> 8) if pixels.dtype == np.uint16 else pixels[..., 3]
+        if alpha.min() == 255:
+            return None
+        mask = alpha.astype(np.uint8)
+        check_mask(mask, f"the alpha channel of {frame.source}")
+        return mask
+    mask = read_mask(frame.mask, inverted=plan.inverted_masks)
+    if orientation >= 5 and (mask.shape[0], mask.shape[1]) == size:
+        mask = orient(mask, orientation).astype(np.uint8)  # drawn on the pixels as stored
+    if abs(mask.shape[1] / mask.shape[0] - size[0] / size[1]) > 0.01 * size[0] / size[1]:
+        raise CaptureError(
+            f"masks/{frame.mask.name} is {mask.shape[1]} x {mask.shape[0]} but its photo is "
+            f"{size[0]} x {size[1]}: their shapes must agree"
+        )
+    resized = cv2.resize(mask, size, interpolation=cv2.INTER_LINEAR)
+    return np.asarray(resized, np.uint8)
+
+
+def _reduce(pixels: Pixels, mask: U8 | None, max_side: int) -> tuple[Pixels, U8 | None]:
+    """Average down to at most `max_side`; colour is weighted by an alpha mask's coverage."""
+    height, width = pixels.shape[:2]
+    scale = max_side / max(height, width)
+    if scale >= 1:
+        return np.ascontiguousarray(pixels), mask
+    size = (max(1, round(width * scale)), max(1, round(height * scale)))
+    small = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
+    if mask is None:
+        return np.asarray(small), None
+    return np.asarray(small), np.asarray(cv2.resize(mask, size, interpolation=cv2.INTER_AREA))
+
+
+def _resized_pose(
+    known: KnownPose | None, stored: tuple[int, int], size: tuple[int, int]
+) -> KnownPose | None:
+    if known is None:
+        return None
+    scale = np.diag([size[0] / stored[0], size[1] / stored[1], 1.0])
+    return replace(known, lens=Lens(scale @ known.lens.K, known.lens.distortion))
+
+
+def _readable_masks(frames: list[Frame]) -> Iterator[U8]:
+    for frame in frames:
+        if frame.mask is not None:
+            try:
+                yield read_mask(frame.mask)
+            except CaptureError:
+                continue

@@ -1,0 +1,98 @@
+"""The ball that the object lives in, from cameras and masks."""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from refdgs_pipe.artifacts.sparse_model import Ball
+from refdgs_pipe.camera import F64, Camera
+
+F32 = NDArray[np.float32]
+
+GRID = 64  # cells along an edge of the carved cube
+MARGIN = 1.03  # the soft rim of masks, and the cells' size
+
+
+def focus_point(cameras: tuple[Camera, ...]) -> F64:
+    """(3,) the point nearest to all optical axes, cameras that look elsewhere weighted down."""
+    centers = np.stack([camera.center for camera in cameras])
+    axes = np.stack([camera.cam_from_world[2, :3] for camera in cameras])
+    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]  # projectors onto the axes' normals
+    weights = np.ones(len(cameras))
+    point = centers.mean(0)
+    for _ in range(20):
+        total = np.einsum("n,nij->ij", weights, across) + 1e-9 * np.eye(3)
+        point = np.linalg.solve(total, np.einsum("n,nij,nj->i", weights, across, centers))
+        misses = np.linalg.norm(np.einsum("nij,nj->ni", across, point - centers), axis=1)
+        weights = 1.0 / np.maximum(misses, 0.1 * np.median(misses) + 1e-9)
+    return point
+
+
+def seen_radius(cameras: tuple[Camera, ...], center: F64, *, share: float = 0.8) -> float:
+    """Radius of the largest ball around `center` that this share of the photos shows whole."""
+    radii = []
+    for camera in cameras:
+        x, y, z = camera.cam_from_world[:3, :3] @ center + camera.cam_from_world[:3, 3]
+        (fx, _, cx), (_, fy, cy) = camera.K[:2]
+        sides = (
+            (fx * x + cx * z) / np.hypot(fx, cx),
+            ((camera.width - cx) * z - fx * x) / np.hypot(fx, camera.width - cx),
+            (fy * y + cy * z) / np.hypot(fy, cy),
+            ((camera.height - cy) * z - fy * y) / np.hypot(fy, camera.height - cy),
+        )
+        radii.append(max(0.0, min(sides)))
+    return float(np.quantile(radii, 1 - share))
+
+
+def carved_ball(cameras: tuple[Camera, ...], masks: list[F32], guess: Ball) -> Ball | None:
+    """The ball around the visual hull, or None if the masks leave nothing.
+
+    Args:
+        masks: for each camera (h, w) at any scale, in [0, 1].
+        guess: where to look; the cube searched is 1.6 times as large.
+    """
+    center, half = guess.center, 1.6 * guess.radius
+    kept = np.zeros((0, 3))
+    for _ in range(2):
+        cells = _grid(center, half)
+        kept = cells[_inside_hull(cells, half / GRID, cameras, masks)]
+        if len(kept) < 4:
+            return None
+        low, high = kept.min(0), kept.max(0)
+        cell = 2 * half / GRID
+        center, half = (low + high) / 2, float((high - low).max()) / 2 + 2 * cell
+    ball = enclosing_ball(kept)
+    return Ball(ball.center, (ball.radius + cell * 0.87) * MARGIN)
+
+
+def enclosing_ball(points: F64) -> Ball:
+    """Nearly the smallest ball around points (Badoiu and Clarkson 2003)."""
+    center = points.mean(0)
+    for i in range(1, 400):
+        farthest = points[np.argmax(((points - center) ** 2).sum(1))]
+        center = center + (farthest - center) / (i + 1)
+    return Ball(center, float(np.sqrt(((points - center) ** 2).sum(1).max())))
+
+
+def _grid(center: F64, half: float) -> F64:
+    ticks = (np.arange(GRID) + 0.5) / GRID * 2 - 1
+    return center + half * np.stack(np.meshgrid(ticks, ticks, ticks), -1).reshape(-1, 3)
+
+
+def _inside_hull(
+    cells: F64, radius: float, cameras: tuple[Camera, ...], masks: list[F32]
+) -> NDArray[np.bool_]:
+    """Cells that half of the photos show, and that all of these see as object but one in thirty."""
+    seen = np.zeros(len(cells), np.int32)
+    hits = np.zeros(len(cells), np.int32)
+    for camera, mask in zip(cameras, masks, strict=True):
+        small = camera.resized(mask.shape[1], mask.shape[0])
+        uv, depth = small.project(cells)
+        grow = int(np.ceil(radius * small.K[0, 0] / max(float(np.median(depth)), 1e-6)))
+        kernel = np.ones((2 * grow + 1, 2 * grow + 1), np.uint8)
+        grown = cv2.dilate((mask > 0.25).astype(np.uint8), kernel) > 0
+        shown = (depth > 0) & (uv >= 0).all(1) & (uv < (small.width, small.height)).all(1)
+        column, row = uv[shown].astype(np.int64).T
+        seen += shown
+        hits[shown] += grown[row, column]
+    return (seen >= 0.5 * len(cameras)) & (hits >= seen - np.maximum(1, seen // 30))

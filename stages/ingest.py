@@ -1,0 +1,54 @@
+"""Read the user's photos, whatever they are, into one uniform folder."""
+
+from pydantic import Field
+
+from refdgs_pipe.artifacts.capture import Capture
+from refdgs_pipe.artifacts.views import Views
+from refdgs_pipe.params import Params
+from refdgs_pipe.pipeline.stage import Job, stage
+
+
+class IngestParams(Params):
+    """How photos are read."""
+
+    max_side: int = Field(
+        1600, ge=64, le=16384, description="longer photos are reduced to this long side, in pixels"
+    )
+    holdout: int = Field(
+        8,
+        ge=0,
+        le=1000,
+        description="hold out every so many-th photo for evaluation if there are 16 or more, "
+        "a count; 0 holds out none",
+    )
+
+
+@stage(version=1, programs=("opencv-contrib-python-headless", "pillow", "rawpy"))
+def ingest(capture: Capture, params: IngestParams, job: Job) -> Views:
+    """Decode, turn upright, mask and measure every photo."""
+    from refdgs_pipe.datasets.readers import read_capture
+    from refdgs_pipe.imaging.gather import gather_views, warnings_about
+    from refdgs_pipe.imaging.photos import plan_set, prepare_set, without_twins
+
+    found = read_capture(capture.layout())
+    plan = plan_set(found.frames, max_side=params.max_side)
+    frames, twins = without_twins(found.frames, plan.raw)
+    results = [*found.skipped, *twins]
+    for done, result in enumerate(prepare_set(frames, job.folder, plan, threads=job.threads)):
+        job.progress("reading photos", done, len(frames))
+        results.append(result)
+    views = gather_views(
+        results,
+        frames,
+        folder=job.folder,
+        linear=plan.linear,
+        holdout=params.holdout if found.may_hold_out else 0,
+        points=found.points,
+    )
+    for note in warnings_about(views, inverted_masks=plan.inverted_masks):
+        job.warn(note)
+    job.measure("photos", len(views.items))
+    job.measure("skipped", len(views.skipped))
+    job.measure("colour space", views.color_space)
+    job.measure("background", views.background)
+    return views
