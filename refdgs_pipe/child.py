@@ -70,7 +70,7 @@ def call_in_child(
         pickle.dump((target, arguments), request, protocol=5)
         request.seek(0)
         read_end, write_end = os.pipe()
-        with open(read_end, "rb", buffering=0) as reports:
+        with os.fdopen(read_end, "rb", buffering=0) as reports:
             try:
                 process = _start((request.fileno(), answer.fileno(), write_end), log)
             finally:
@@ -172,14 +172,14 @@ def _serve() -> NoReturn:
     request, answer, reports, parent = map(int, sys.argv[1:5])
     _die_with(parent)
     faulthandler.enable()
-    with open(request, "rb") as file:
+    with os.fdopen(request, "rb") as file:
         target, arguments = pickle.load(file)
     try:
         result = False, _call(target, arguments, reports)
     except Exception as error:
         traceback.print_exc()
         result = True, _portable(error)
-    with open(answer, "wb") as file:
+    with os.fdopen(answer, "wb") as file:
         pickle.dump(result, file, protocol=5)
         file.flush()
     sys.stdout.flush()

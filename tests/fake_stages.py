@@ -104,7 +104,7 @@ def shout(words: Words, params: ShoutParams, job: Job) -> Shout:
         job.progress("shouting", step, 10, note=f"loudness {step}")
         time.sleep(pause_s)
         (job.scratch / "new").write_text(str(step + 1))
-        os.replace(job.scratch / "new", note)
+        (job.scratch / "new").replace(note)
     job.measure("resumed at", done)
     if params.mood == "mute":
         raise MeshError("no voice. Set shout.mood")

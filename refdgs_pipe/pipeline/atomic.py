@@ -20,7 +20,7 @@ def write_json(path: Path, record: Any) -> None:
     try:
         temporary.write_text(json.dumps(record, indent=1, ensure_ascii=False) + "\n", "utf-8")
         sync(temporary)
-        os.replace(temporary, path)
+        temporary.replace(path)
     except OSError:
         with suppress(OSError):
             temporary.unlink()
@@ -47,14 +47,14 @@ def sync_tree(folder: Path) -> None:
 def publish(new: Path, target: Path) -> None:
     """Put a folder, already on the disk, in the place of another one. `new` is gone afterwards."""
     if not target.exists():
-        os.rename(new, target)
+        new.rename(target)
     elif _exchange(new, target):
         remove(new)
     else:  # a file system that cannot exchange: for an instant there is only the old one's spare
         spare = _spare(target)
         remove(spare)
-        os.rename(target, spare)
-        os.rename(new, target)
+        target.rename(spare)
+        new.rename(target)
         remove(spare)
     sync(target.parent)
 
@@ -63,7 +63,7 @@ def rescue(target: Path) -> None:
     """Finish a `publish` that was killed half-way: what was there is there again."""
     spare = _spare(target)
     if spare.exists() and not target.exists():
-        os.rename(spare, target)
+        spare.rename(target)
     remove(spare)
 
 
@@ -72,7 +72,7 @@ def remove(path: Path) -> None:
     trash = path.with_name(f".trash-{path.name.lstrip('.')}")
     with suppress(FileNotFoundError):
         shutil.rmtree(trash, ignore_errors=True)
-        os.rename(path, trash)
+        path.rename(trash)
         if trash.is_dir() and not trash.is_symlink():
             shutil.rmtree(trash, ignore_errors=True)
         else:

@@ -187,7 +187,7 @@ class Store:
         aside = folder.with_name(f".damaged-{origin.key}")
         with disk_errors(self.root):
             remove(aside)
-            os.rename(folder, aside)
+            folder.rename(aside)
         return aside
 
     def adoption(self, origin: Origin) -> Origin:

@@ -60,13 +60,13 @@ def test_an_abort_is_an_error_with_the_signal_and_the_last_lines() -> None:
 
 
 def test_a_kill_is_an_error_that_mentions_memory() -> None:
-    with pytest.raises(ChildCrashed, match="SIGKILL.*memory"):
+    with pytest.raises(ChildCrashed, match=r"SIGKILL.*memory"):
         call_in_child(f"{TARGETS}:kill_self", {})
 
 
 def test_a_slow_child_is_stopped_in_time() -> None:
     start = time.monotonic()
-    with pytest.raises(ChildTimeout, match="0.5 s"):
+    with pytest.raises(ChildTimeout, match=r"0\.5 s"):
         call_in_child(f"{TARGETS}:sleep", {"seconds": 60}, timeout_s=0.5)
     assert time.monotonic() - start < 20
 
