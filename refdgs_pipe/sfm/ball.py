@@ -82,7 +82,10 @@ def _grid(center: F64, half: float) -> F64:
 def _inside_hull(
     cells: F64, radius: float, cameras: tuple[Camera, ...], masks: list[F32]
 ) -> NDArray[np.bool_]:
-    """Cells that half of the photos show, and that all of these see as object but one in thirty."""
+    """Cells that four in five photos show, and all of these but one in thirty see as object.
+
+    Cells that few photos show would survive unjudged below and above the object.
+    """
     seen = np.zeros(len(cells), np.int32)
     hits = np.zeros(len(cells), np.int32)
     for camera, mask in zip(cameras, masks, strict=True):
@@ -95,4 +98,4 @@ def _inside_hull(
         column, row = uv[shown].astype(np.int64).T
         seen += shown
         hits[shown] += grown[row, column]
-    return (seen >= 0.5 * len(cameras)) & (hits >= seen - np.maximum(1, seen // 30))
+    return (seen >= 0.8 * len(cameras)) & (hits >= seen - np.maximum(1, seen // 30))
