@@ -1,6 +1,5 @@
 """Fusion of depth maps into one surface on a sparse grid of signed distances."""
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -8,6 +7,7 @@ from refdgs_pipe.artifacts.mesh import RawMesh
 from refdgs_pipe.artifacts.sparse_model import Ball
 from refdgs_pipe.artifacts.surface_map import SurfaceMap
 from refdgs_pipe.errors import MeshError
+from refdgs_pipe.geometry import without_jumps
 
 F32 = NDArray[np.float32]
 
@@ -105,8 +105,7 @@ def usable_depth(
     """(H, W) depth with every doubtful pixel set to 0.
 
     Doubtful is: thin coverage, outside the ball, seen at a grazing angle, or beside a jump in
-    depth. A jump is a difference within the 3 x 3 neighbourhood larger than twice what the
-    pixel's own normal explains, plus two voxels (`voxel` is in world units).
+    depth of more than two voxels (`voxel` is in world units).
     """
     depth = np.where(np.isfinite(view.depth) & (view.alpha >= min_alpha), view.depth, 0)
     depth = np.maximum(depth, 0).astype(np.float32)
@@ -115,10 +114,5 @@ def usable_depth(
     points = view.camera.center.astype(np.float32) + world * depth[..., None]
     inside = ((points - ball.center.astype(np.float32)) ** 2).sum(-1) < ball.radius**2
     cosine = -(world * view.normal).sum(-1) / np.linalg.norm(world, axis=-1)
-    here = depth > 0
-    far = np.asarray(cv2.dilate(depth, np.ones((3, 3), np.uint8)))
-    near = np.asarray(cv2.erode(np.where(here, depth, np.inf).astype(np.float32), np.ones((3, 3))))
-    slope = np.sqrt(np.maximum(1 / np.maximum(cosine, 0.05) ** 2 - 1, 0))
-    explained = 2 * 2**0.5 * depth / float(view.camera.K[0, 0]) * slope
-    smooth = far - np.where(np.isfinite(near), near, far) < 2 * explained + 2 * voxel
-    return np.where(here & inside & (cosine >= min_cosine) & smooth, depth, 0).astype(np.float32)
+    smooth = without_jumps(depth, view.normal, view.camera, 2 * voxel)
+    return np.where(inside & (cosine >= min_cosine) & smooth, depth, 0).astype(np.float32)

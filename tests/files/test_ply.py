@@ -1,5 +1,6 @@
 """PLY files survive the round trip, and broken ones are refused in words."""
 
+import contextlib
 from pathlib import Path
 
 import numpy as np
@@ -83,7 +84,7 @@ def test_a_broken_header_is_refused_with_its_reason(
 
 def test_indices_out_of_range_and_nan_are_refused(tmp_path: Path) -> None:
     write_mesh(tmp_path / "m.ply", VERTICES, FACES + 1)
-    with pytest.raises(CorruptError, match="outside 0..3"):
+    with pytest.raises(CorruptError, match=r"outside 0\.\.3"):
         read_mesh(tmp_path / "m.ply")
     write_mesh(tmp_path / "m.ply", VERTICES * np.float32(np.nan), FACES)
     with pytest.raises(CorruptError, match="not finite"):
@@ -91,7 +92,7 @@ def test_indices_out_of_range_and_nan_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(CorruptError, match="gone.ply: cannot be read"):
+    with pytest.raises(CorruptError, match=r"gone\.ply: cannot be read"):
         read_mesh(tmp_path / "gone.ply")
 
 
@@ -108,7 +109,5 @@ def test_random_damage_never_escapes_as_another_error(tmp_path: Path) -> None:
         broken = data.copy()
         broken[random.integers(0, len(data), 4)] = random.integers(0, 256, 4)
         (tmp_path / "b.ply").write_bytes(broken.tobytes())
-        try:
+        with contextlib.suppress(CorruptError):
             read_mesh(tmp_path / "b.ply")
-        except CorruptError:
-            pass

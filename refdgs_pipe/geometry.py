@@ -1,0 +1,53 @@
+"""Small facts about space that several packages need."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from refdgs_pipe.camera import Camera
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+
+
+def y_up_from_z_up(up: F64) -> F64:
+    """(3, 3) rotation to the frame of glTF and USD: +Y up.
+
+    `up` is the world's unit up vector. For +z it is the quarter turn about x that every tool
+    uses: world x stays x, world -y becomes +z (the front).
+    """
+    up = np.asarray(up, np.float64) / np.linalg.norm(up)
+    quarter = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+    return np.asarray(quarter @ _shortest_rotation(up, np.array([0.0, 0.0, 1.0])))
+
+
+def _shortest_rotation(source: F64, target: F64) -> F64:
+    """(3, 3) the smallest rotation that takes one unit vector to another (Rodrigues)."""
+    axis, cosine = np.cross(source, target), float(source @ target)
+    if cosine < -1 + 1e-12:  # opposite: half a turn about any perpendicular axis
+        axis = np.eye(3)[np.abs(source).argmin()]
+        axis = axis - source * (source @ axis)
+        axis /= np.linalg.norm(axis)
+        return np.asarray(2 * np.outer(axis, axis) - np.eye(3))
+    x, y, z = axis
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.asarray(np.eye(3) + cross + cross @ cross / (1 + cosine))
+
+
+def without_jumps(depth: F32, normal: F32, camera: Camera, slack: float) -> NDArray[np.bool_]:
+    """(H, W) whether a pixel's 3 x 3 neighbourhood is one surface.
+
+    It is when the depths (0: none) differ by at most twice what the pixel's own normal explains,
+    plus `slack` in world units. Pixels without a surface are not smooth; as neighbours they do
+    not count.
+    """
+    import cv2
+
+    kernel = np.ones((3, 3), np.uint8)
+    far = np.asarray(cv2.dilate(depth, kernel))
+    near = np.asarray(cv2.erode(np.where(depth > 0, depth, np.float32(1e30)), kernel))
+    rays = camera.pixel_rays().astype(np.float32)
+    world = rays @ camera.world_from_cam[:3, :3].T.astype(np.float32)
+    cosine = -(world * normal).sum(-1) / np.linalg.norm(world, axis=-1)
+    slope = np.sqrt(np.maximum(1 / np.maximum(cosine, 0.05) ** 2 - 1, 0))
+    explained = 2 * 2**0.5 * depth / float(camera.K[0, 0]) * slope
+    return np.asarray((depth > 0) & (far - near < 2 * explained + slack))

@@ -1,0 +1,186 @@
+"""What each texel looks like, gathered from the maps of all views that see it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from refdgs_pipe.artifacts.surface_map import SurfaceMap
+from refdgs_pipe.errors import MeshError
+from refdgs_pipe.geometry import without_jumps
+
+F32 = NDArray[np.float32]
+Ints = NDArray[np.int64]
+
+_CHANNELS = 7  # diffuse 3, roughness 1, normal 3
+_MIN_ALPHA = 0.5
+_MIN_COSINE = 0.2
+_CHUNK = 1 << 18
+_ROW = 1024  # cv2.remap refuses more than 32767 rows or columns
+
+
+@dataclass(frozen=True)
+class Surface:
+    """What was gathered for N points of a surface.
+
+    Args:
+        diffuse: (N, 3) linear; roughness: (N,); normal: (N, 3) unit, world.
+        specular: (N, 3) mean linear radiance of the reflections over all views.
+        confidence: (N,) 0 where no view saw the point, towards 1 for many that agree.
+        seen: (N,) whether any view did.
+    """
+
+    diffuse: F32
+    roughness: F32
+    normal: F32
+    specular: F32
+    confidence: F32
+    seen: NDArray[np.bool_]
+
+
+class Gather:
+    """Collects samples of surface points, one view after another; memory does not grow with views.
+
+    Each point keeps its `keep` best samples, so that outliers can be told from the rest.
+
+    Args:
+        points, normals: (N, 3) float32, world.
+        tolerance: how far a point may lie from the depth map that shows it, world units.
+    """
+
+    def __init__(self, points: F32, normals: F32, *, tolerance: float, keep: int = 6) -> None:
+        self.points, self.normals, self.tolerance = points, normals, tolerance
+        count = len(points)
+        self._weights = np.zeros((count, keep), np.float32)
+        self._samples = np.zeros((count, keep, _CHANNELS), np.float16)
+        self._total = np.zeros(count, np.float32)
+        self._specular = np.zeros((count, 3), np.float32)
+
+    def add(self, view: SurfaceMap) -> int:
+        """Take what one view shows; gives how many points it sees."""
+        rows, pixels, weights = self._visible(view)
+        if not len(rows):
+            return 0
+        values = np.concatenate([view.diffuse, view.roughness[..., None], view.normal], -1)
+        samples = _bilinear(values, pixels)
+        self._total[rows] += weights
+        self._specular[rows] += weights[:, None] * _bilinear(view.specular, pixels)
+        worst = self._weights[rows].argmin(1)
+        better = weights > self._weights[rows, worst]
+        rows, worst = rows[better], worst[better]
+        self._weights[rows, worst] = weights[better]
+        self._samples[rows, worst] = np.minimum(samples[better], 60000.0)
+        return len(weights)
+
+    def surface(self) -> Surface:
+        """Combine the samples. Points that no view saw take over from the nearest that were seen.
+
+        Raises:
+            MeshError: no view saw any point.
+        """
+        count = len(self.points)
+        seen = self._total > 0
+        if not seen.any():
+            raise MeshError(
+                "no view shows any part of the mesh: the mesh and the cameras do not belong "
+                "together. Run extract again, or drop the adopted mesh"
+            )
+        values, spread = np.zeros((count, _CHANNELS), np.float32), np.zeros(count, np.float32)
+        for start in range(0, count, _CHUNK):
+            part = slice(start, start + _CHUNK)
+            values[part], spread[part] = _combined(self._samples[part], self._weights[part])
+        specular = self._specular / np.maximum(self._total, 1e-6)[:, None]
+        if not seen.all():
+            everything = np.concatenate([values[:, :4], specular], 1)
+            everything[~seen] = _from_nearest(self.points, everything, seen)
+            values[:, :4], specular = everything[:, :4], everything[:, 4:]
+        normal = np.where(seen[:, None], values[:, 4:], self.normals)
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-6)
+        confidence = (1 - np.exp(-self._total / 0.7)) / (1 + (spread / 0.1) ** 2)
+        return Surface(
+            values[:, :3], values[:, 3], normal.astype(np.float32), specular, confidence, seen
+        )
+
+    def _visible(self, view: SurfaceMap) -> tuple[Ints, F32, F32]:
+        """Rows of the points that a view sees, their pixel coordinates, and how well it does."""
+        camera = view.camera
+        R, t = (camera.cam_from_world[:3, i].astype(np.float32) for i in (slice(3), 3))
+        local = self.points @ R.T + t
+        z = np.maximum(local[:, 2], 1e-6)
+        K = camera.K.astype(np.float32)
+        pixels = local[:, :2] / z[:, None] * np.diag(K)[:2] + K[:2, 2]
+        toward = camera.center.astype(np.float32) - self.points
+        distance = np.linalg.norm(toward, axis=1)
+        cosine = (toward * self.normals).sum(1) / np.maximum(distance, 1e-9)
+        size = np.array([camera.width, camera.height])
+        inside = (pixels > 0.5).all(1) & (pixels < size - 0.5).all(1) & (local[:, 2] > 0)
+        rows = np.flatnonzero(inside & (cosine > _MIN_COSINE))
+        pixels, cosine, z = pixels[rows], cosine[rows], z[rows]
+        solid = without_jumps(view.depth, view.normal, camera, self.tolerance)
+        solid &= view.alpha >= _MIN_ALPHA
+        sampled = _bilinear(
+            np.stack([view.depth, view.alpha, solid.astype(np.float32)], -1), pixels
+        )
+        slope = np.sqrt(1 / cosine**2 - 1)
+        allowed = self.tolerance + slope * z / float(K[0, 0])
+        good = (np.abs(sampled[:, 0] - z) < allowed) & (sampled[:, 2] > 0.999)
+        weights = (cosine**2 * sampled[:, 1])[good]
+        return rows[good], pixels[good], weights.astype(np.float32)
+
+
+def _bilinear(values: F32, pixels: F32) -> F32:
+    """(N, C) values (H, W, C) at pixel coordinates (N, 2), centres at + 0.5."""
+    import cv2
+
+    count = len(pixels)
+    padded = np.zeros((-(-count // _ROW) * _ROW, 2), np.float32)
+    padded[:count] = pixels - 0.5
+    x, y = (np.ascontiguousarray(padded[:, i].reshape(-1, _ROW)) for i in range(2))
+    parts = []
+    for start in range(0, values.shape[-1], 4):
+        part = np.ascontiguousarray(values[..., start : start + 4], np.float32)
+        found = cv2.remap(part, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        parts.append(np.asarray(found).reshape(len(padded), -1)[:count])
+    return np.concatenate(parts, 1)
+
+
+def _combined(samples: NDArray[np.float16], weights: F32) -> tuple[F32, F32]:
+    """(N, 7) robust mean of samples (N, K, 7) and (N,) how far they lie apart in diffuse colour.
+
+    Iteratively reweighted (Cauchy): a sample that disagrees with the others loses its weight.
+    """
+    values = samples.astype(np.float32)
+    out = np.zeros((len(values), _CHANNELS), np.float32)
+    spread = np.zeros(len(values), np.float32)
+    for channels, least in ((slice(0, 3), 0.02), (slice(3, 4), 0.03), (slice(4, 7), 0.03)):
+        part, trust = values[..., channels], weights
+        mean, apart = _mean(part, trust)
+        for _ in range(3):
+            scale = np.maximum(_mean(apart[..., None], trust)[0], least)
+            trust = weights / (1 + (apart / scale) ** 2)
+            mean, apart = _mean(part, trust)
+        out[:, channels] = mean
+        if channels.start == 0:
+            spread = _mean(apart[..., None], trust)[0][:, 0]
+    return out, spread
+
+
+def _mean(values: F32, weights: F32) -> tuple[F32, F32]:
+    """Weighted mean (N, C) of (N, K, C), and the distance (N, K) of each sample to it."""
+    total = np.maximum(weights.sum(1), 1e-9)
+    mean = np.einsum("nk,nkc->nc", weights, values) / total[:, None]
+    apart = np.linalg.norm(values - mean[:, None], axis=2)
+    return mean.astype(np.float32), apart.astype(np.float32)
+
+
+def _from_nearest(points: F32, values: F32, seen: NDArray[np.bool_]) -> F32:
+    """Values for the unseen points: the mean of the four nearest seen ones, nearer counts more."""
+    from scipy.spatial import cKDTree
+
+    sources = np.flatnonzero(seen)
+    sources = sources[:: max(1, len(sources) // 300_000)]
+    distance, nearest = cKDTree(points[sources]).query(points[~seen], k=min(4, len(sources)))
+    distance, nearest = distance.reshape(len(distance), -1), nearest.reshape(len(nearest), -1)
+    weights = 1 / np.maximum(distance, 1e-9)
+    weights /= weights.sum(1, keepdims=True)
+    return np.asarray(np.einsum("nk,nkc->nc", weights, values[sources][nearest]), np.float32)
