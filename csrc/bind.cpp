@@ -1,5 +1,5 @@
 // The module _refdgs_native. Arrays come as addresses of contiguous tensors that Python allocated and
-// checked (refdgs_pipe/ops/native.py is the only caller); they must stay alive during the call.
+// checked (refdgs_pipe/ops is the only caller); they must stay alive during the call.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
@@ -12,6 +12,7 @@
 #endif
 
 namespace nb = nanobind;
+void bind_fused(nb::module_& m);
 using namespace refdgs;
 
 namespace {
@@ -67,6 +68,7 @@ NB_MODULE(_refdgs_native, m) {
 #endif
   bind_raster<float>(m, "RasterFloat");
   bind_raster<double>(m, "RasterDouble");
+  bind_fused(m);
 #if defined(REFDGS_WITH_CUDA)
   m.attr("cuda_archs") = REFDGS_ARCHS;
   m.def("cuda_device", &cuda::device_name);

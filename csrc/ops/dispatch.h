@@ -1,5 +1,6 @@
 // The kernels of the best instruction set this CPU has, chosen once.
 #pragma once
+#include "image_loss.h"
 #include "raster.h"
 
 namespace refdgs {
@@ -9,6 +10,7 @@ struct Kernels {
   const char* name;
   int lanes;
   RasterKernels<float> (*raster)(int channels, Extra extra);
+  LossKernel<float> loss_band;
 };
 
 // REFDGS_ISA=baseline|avx2|avx512 caps the choice, for tests.
@@ -16,5 +18,6 @@ const Kernels& kernels();
 
 // Double precision exists once, portable: it proves gradients, it is not fast.
 RasterKernels<double> raster_kernels_double(int channels, Extra extra);
+void loss_band_double(const LossFrame<double>& frame, int channel, int band, double* scratch, double* sums);
 
 }  // namespace refdgs

@@ -13,9 +13,10 @@ namespace refdgs {
 namespace avx512 {
 namespace {
 #include "simd.h"
+#include "image_loss.inl"
 #include "rasterize.inl"
 }  // namespace
 extern const Kernels kernels;
-const Kernels kernels = {"avx512", LANES, raster_kernels<float>};
+const Kernels kernels = {"avx512", LANES, raster_kernels<float>, loss_band<float>};
 }  // namespace avx512
 }  // namespace refdgs

@@ -13,12 +13,16 @@ namespace refdgs {
 namespace baseline {
 namespace {
 #include "simd.h"
+#include "image_loss.inl"
 #include "rasterize.inl"
 }  // namespace
 extern const Kernels kernels;
-const Kernels kernels = {"baseline", LANES, raster_kernels<float>};
+const Kernels kernels = {"baseline", LANES, raster_kernels<float>, loss_band<float>};
 }  // namespace baseline
 RasterKernels<double> raster_kernels_double(int channels, Extra extra) {
   return baseline::raster_kernels<double>(channels, extra);
+}
+void loss_band_double(const LossFrame<double>& frame, int channel, int band, double* scratch, double* sums) {
+  baseline::loss_band(frame, channel, band, scratch, sums);
 }
 }  // namespace refdgs

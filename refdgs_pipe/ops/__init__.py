@@ -1,5 +1,15 @@
-"""Differentiable operations on surfels and maps. Each has a float64 torch reference that defines it."""
+"""Differentiable operations on surfels and maps, each defined by a torch reference in float64."""
 
+from refdgs_pipe.ops.image_loss import image_loss, ssim, ssim_map
 from refdgs_pipe.ops.rasterize import Maps, Pinhole, ScreenStatistics, Surfels, rasterize
 
-__all__ = ["Maps", "Pinhole", "ScreenStatistics", "Surfels", "rasterize"]
+__all__ = [
+    "Maps",
+    "Pinhole",
+    "ScreenStatistics",
+    "Surfels",
+    "image_loss",
+    "rasterize",
+    "ssim",
+    "ssim_map",
+]
