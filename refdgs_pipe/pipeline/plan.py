@@ -84,6 +84,14 @@ class Pipeline:
         """Hash the source; files with unchanged size and times are not read again."""
         return fingerprint(source.files(), self.store.root / SOURCE_MEMORY)
 
+    def last_fingerprint(self) -> Fingerprint | None:
+        """The source as the last run saw it, for when it is not there any more."""
+        last = self.store.current(self.stages[0].name)
+        if last is None:
+            return None
+        (digest,) = last.origin.inputs.values()
+        return Fingerprint(digest, last.source_files)
+
     def status(self, source: Fingerprint, settings: Settings) -> list[Step]:
         """Every stage with its state. No result is read, only its record and its files' sizes."""
         digests: dict[type, str] = {self.source: source.digest}
@@ -154,9 +162,11 @@ class Pipeline:
             return self.store.drop_adoption(self.stage(name).name)
 
     def unused(self, source: Fingerprint, settings: Settings) -> list[Path]:
-        """The results that the current settings do not use, and what dead runs left."""
-        steps = self.status(source, settings)
-        return self.store.unused(step.origin for step in steps if step.origin)
+        """What neither the settings nor the last run used, and what dead runs left."""
+        wanted = [step.origin for step in self.status(source, settings)]
+        last = [self.store.current(stage.name) for stage in self.stages]
+        used = [manifest.origin for manifest in last if manifest]
+        return self.store.unused([*used, *(origin for origin in wanted if origin)])
 
     def clean(self, source: Fingerprint, settings: Settings) -> list[Path]:
         """Delete what is `unused`, and return it."""

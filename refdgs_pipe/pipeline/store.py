@@ -107,6 +107,7 @@ class Store:
 
     def __init__(self, root: Path) -> None:
         self.root = root
+        self._is_locked = False
 
     def folder(self, origin: Origin) -> Path:
         """Where the result with this origin is, or would be."""
@@ -260,6 +261,9 @@ class Store:
         """
         from filelock import FileLock, Timeout
 
+        if self._is_locked:  # by our caller
+            yield
+            return
         owner = self.root / ".lock-owner"
         with disk_errors(self.root):
             self.root.mkdir(parents=True, exist_ok=True)
@@ -272,9 +276,11 @@ class Store:
                     f"{self.root}: {who} is working here. Wait for it, or stop it"
                 ) from None
             owner.write_text(f"process {os.getpid()}", "utf-8")
+        self._is_locked = True
         try:
             yield
         finally:
+            self._is_locked = False
             lock.release()
 
     def _scratch(self, origin: Origin) -> Path:

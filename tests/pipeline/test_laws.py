@@ -306,6 +306,12 @@ def test_clean_keeps_what_the_settings_use(scene: Scene) -> None:
     assert (scene.root / "work" / "asset" / "text").exists()
 
 
+def test_clean_keeps_what_the_last_run_used_while_a_new_one_is_unfinished(scene: Scene) -> None:
+    scene.run()
+    scene.settings["shout"] = ShoutParams(marks=3)
+    assert scene.pipeline.clean(scene.pipeline.fingerprint(scene.source), scene.settings) == []
+
+
 def test_a_wrong_wiring_is_refused(scene: Scene) -> None:
     with pytest.raises(InputError, match="no stage before shout makes its Words"):
         Pipeline(Letters, STAGES[1:], scene.pipeline.store)

@@ -1,0 +1,326 @@
+"""The command line. Thin: each command opens a workspace, calls one function and prints."""
+
+import json
+import os
+import sys
+import tempfile
+import traceback
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from refdgs_pipe import __version__, recipe
+from refdgs_pipe.cli import workspace as spaces
+from refdgs_pipe.cli.console import duration, size
+from refdgs_pipe.cli.running import Options, make, settings_json, steps_json
+from refdgs_pipe.cli.workspace import Memory, Workspace
+from refdgs_pipe.errors import Cancelled, InputError, RefdgsError
+
+HELP = "Photos of a glossy object in, a textured GLB and USDZ out."
+
+app = typer.Typer(
+    help=HELP, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None
+)
+recipes = typer.Typer(help="Look at recipes.", no_args_is_help=True, rich_markup_mode=None)
+app.add_typer(recipes, name="recipe")
+
+Folder = Annotated[Path, typer.Argument(help="the folder that `run` made", metavar="WORKSPACE")]
+RecipeName = Annotated[
+    str | None, typer.Option("--recipe", help="a recipe's name, or a TOML file", metavar="NAME")
+]
+Assignments = Annotated[
+    list[str] | None,
+    typer.Option("--set", help="change one setting; may be repeated", metavar="STAGE.KEY=VALUE"),
+]
+Json = Annotated[bool, typer.Option("--json", help="print one JSON object on stdout")]
+Device = Annotated[str, typer.Option("--device", help="auto, cpu or cuda")]
+Threads = Annotated[int, typer.Option("--threads", min=0, help="CPU threads; 0: every core")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="only warnings and errors")]
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="every measured figure too")]
+Strict = Annotated[bool, typer.Option("--strict", help="exit with 3 if there were warnings")]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="only say what would be done")]
+
+
+@app.callback(invoke_without_command=True)
+def _main(
+    version: Annotated[bool, typer.Option("--version", help="print the version")] = False,
+) -> None:
+    if version:
+        print(__version__)
+        raise typer.Exit
+
+
+@app.command("run")
+def run_command(
+    photos: Annotated[
+        list[Path],
+        typer.Argument(help="a folder of photos, photos, or a workspace to go on with"),
+    ],
+    workspace: Annotated[
+        Path | None,
+        typer.Option("--workspace", "-w", help="where results go [PHOTOS.refdgs]", metavar="DIR"),
+    ] = None,
+    recipe_name: RecipeName = None,
+    assignments: Assignments = None,
+    until: Annotated[
+        str | None, typer.Option("--until", help="make this and what it needs", metavar="STAGE")
+    ] = None,
+    start: Annotated[
+        str | None,
+        typer.Option("--from", help="make this and what follows again", metavar="STAGE"),
+    ] = None,
+    force: Annotated[
+        list[str] | None, typer.Option("--force", help="make this again", metavar="STAGE")
+    ] = None,
+    dry_run: DryRun = False,
+    device: Device = "auto",
+    threads: Threads = 0,
+    as_json: Json = False,
+    strict: Strict = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Make the asset, and whatever of the way to it is missing."""
+    space = _open_for_run(photos, workspace, recipe_name, assignments or [])
+    again = {space.stage_name(name) for name in force or []}
+    if start is not None:
+        again |= space.pipeline.following(space.stage_name(start))
+    until = space.stage_name(until) if until else None
+    again &= {stage.name for stage in space.pipeline.needed_for(until)}
+    if dry_run:
+        _print_plan(space, until, again, as_json)
+        return
+    verbosity = 0 if quiet else 2 if verbose else 1
+    options = Options(until, frozenset(again), device, threads, as_json, strict, verbosity)
+    raise typer.Exit(make(space, options))
+
+
+@app.command("rerun")
+def rerun_command(
+    workspace: Folder,
+    stage: Annotated[str, typer.Argument(help="the stage to make again", metavar="STAGE")],
+    device: Device = "auto",
+    threads: Threads = 0,
+    as_json: Json = False,
+    strict: Strict = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Make one stage again; later ones follow only if its output changed."""
+    space = spaces.open_workspace(workspace)
+    again = frozenset({space.stage_name(stage)})
+    verbosity = 0 if quiet else 2 if verbose else 1
+    options = Options(None, again, device, threads, as_json, strict, verbosity)
+    raise typer.Exit(make(space, options))
+
+
+@app.command("status")
+def status_command(
+    workspace: Folder,
+    recipe_name: RecipeName = None,
+    assignments: Assignments = None,
+    as_json: Json = False,
+) -> None:
+    """Say of every stage whether it is up to date, and if not, why."""
+    memory = spaces.remembered(workspace, recipe_name, assignments or [])
+    space = spaces.open_workspace(workspace, memory)
+    steps = space.status()
+    if as_json:
+        photos = [str(path) for path in memory.photos]
+        head = {"workspace": str(workspace), "photos": photos, "recipe": memory.recipe}
+        _print_json(head | {"set": memory.assignments, "stages": steps_json(steps, space)})
+        return
+    for step in steps:
+        word = {"up to date": "", "adopted": ""}.get(step.state, f"{step.state}  ")
+        took = f"  ({duration(step.manifest.seconds)})" if step.manifest else ""
+        print(f"{step.stage.name:9} {word}{step.reason}{took}")
+        for warning in step.manifest.warnings if step.manifest else ():
+            print(f"{'':9} warning: {warning}")
+
+
+@app.command("path")
+def path_command(workspace: Folder, stage: str) -> None:
+    """Print the folder of a stage's current result."""
+    print(spaces.open_workspace(workspace).result(stage)[1])
+
+
+@app.command("clean")
+def clean_command(workspace: Folder, dry_run: DryRun = False, as_json: Json = False) -> None:
+    """Delete old results that neither the settings nor the last run used. The asset stays."""
+    space = spaces.open_workspace(workspace)
+    mark = space.fingerprint()
+    paths = space.pipeline.unused(mark, space.settings)
+    sizes = {str(path): _weight(path) for path in paths}
+    if not dry_run:
+        space.pipeline.clean(mark, space.settings)
+    if as_json:
+        _print_json({"deleted": {} if dry_run else sizes, "unused": sizes})
+        return
+    word = "would free" if dry_run else "freed"
+    for path in sizes:
+        print(path)
+    print(f"{word} {size(sum(sizes.values()))}", file=sys.stderr)
+
+
+@app.command("adopt")
+def adopt_command(
+    workspace: Folder,
+    stage: Annotated[str, typer.Argument(help="a stage, or what it makes, such as mesh")],
+    file: Annotated[Path | None, typer.Argument(help="your file")] = None,
+    drop: Annotated[bool, typer.Option("--drop", help="use the stage's own result again")] = False,
+) -> None:
+    """Use a file of yours as the result of a stage, until what the stage works from changes."""
+    space = spaces.open_workspace(workspace)
+    name = space.stage_name(stage)
+    if drop == (file is not None):
+        raise InputError("adopt: give a file, or --drop")
+    if file is None:
+        had = space.pipeline.drop_adopted(name)
+        print(f"{name}: {'its own result again' if had else 'nothing was adopted'}")
+        return
+    space.pipeline.adopt(name, file, space.fingerprint(), space.settings)
+    print(f"{name}: adopted from {file.name}. `run` makes what follows")
+
+
+@app.command("render")
+def render_command(
+    workspace: Folder,
+    out: Annotated[Path, typer.Option("--out", help="the folder to write to", metavar="DIR")],
+    split: Annotated[str, typer.Option("--split", help="train, test or all")] = "test",
+    orbit: Annotated[
+        int, typer.Option("--orbit", min=0, help="instead, this many views all round the object")
+    ] = 0,
+    scale: Annotated[float, typer.Option("--scale", help="size, as a part of the photos'")] = 1.0,
+    device: Device = "auto",
+    threads: Threads = 0,
+) -> None:
+    """Draw the trained model: NAME.png over white, NAME.npz with normals, depth and the rest."""
+    from refdgs_pipe.cli.render import render_views
+
+    space = spaces.open_workspace(workspace)
+    done = render_views(
+        space, out, split=split, orbit=orbit, scale=scale, device=device, threads=threads
+    )
+    print(f"{done} views", file=sys.stderr)
+    print(out)
+
+
+@app.command("doctor")
+def doctor_command(as_json: Json = False) -> None:
+    """Check this machine and the installation; one fix for each problem."""
+    from refdgs_pipe.cli.doctor import examine
+
+    findings = examine()
+    if as_json:
+        _print_json([vars(finding) for finding in findings])
+    else:
+        for finding in findings:
+            print(f"{'ok  ' if finding.ok else 'BAD '} {finding.name}: {finding.text}")
+            if finding.fix:
+                print(f"     {finding.fix}")
+    raise typer.Exit(0 if all(finding.ok for finding in findings) else 71)
+
+
+@recipes.command("list")
+def recipe_list_command() -> None:
+    """List the recipes that come with the product."""
+    for name in recipe.names():
+        print(f"{name:10} {recipe.load(name).about}")
+
+
+@recipes.command("show")
+def recipe_show_command(
+    name: Annotated[str, typer.Argument(help="a recipe's name, or a TOML file")] = recipe.DEFAULT,
+    assignments: Assignments = None,
+    resolved: Annotated[
+        bool, typer.Option("--resolved", help="every setting, not only the differences")
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """Print a recipe's settings with their meaning, as TOML."""
+    from refdgs_pipe.pipeline.catalog import load_stages
+
+    found = recipe.load(name)
+    models = {stage.name: stage.params for stage in load_stages()}
+    settings = recipe.resolve(found, assignments or [], models)
+    if as_json:
+        _print_json({stage: params.model_dump(mode="json") for stage, params in settings.items()})
+        return
+    print(f"# {found.about}")
+    print(recipe.describe(settings, only=None if resolved else found), end="")
+
+
+def main() -> None:
+    """Run the command line. Errors meant for users have no traceback; others go to a log."""
+    try:
+        app(prog_name="refdgs-pipe")
+    except RefdgsError as error:
+        if "--json" in sys.argv:
+            kind, code = type(error).__name__, error.exit_code
+            failure = {"status": "failed", "kind": kind, "exit_code": code, "message": str(error)}
+            _print_json(failure)
+        prefix = "" if isinstance(error, Cancelled) else "error: "
+        print(f"{prefix}{error}", file=sys.stderr)
+        sys.exit(error.exit_code)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
+    except Exception as error:
+        print(
+            f"internal error: {type(error).__name__}: {error}\n"
+            f"This is a mistake of ours. Please report it with {_keep_traceback(error)}",
+            file=sys.stderr,
+        )
+        sys.exit(RefdgsError.exit_code)
+
+
+def _keep_traceback(error: Exception) -> str:
+    """Where the traceback is: in the run's log, or in a new file."""
+    for note in getattr(error, "__notes__", []):
+        if note.endswith(".jsonl"):
+            return str(note)
+    with tempfile.NamedTemporaryFile(
+        "w", prefix="refdgs-pipe-", suffix=".log", delete=False
+    ) as file:
+        traceback.print_exception(error, file=file)
+    return file.name
+
+
+def _open_for_run(
+    photos: list[Path], root: Path | None, recipe_name: str | None, assignments: list[str]
+) -> Workspace:
+    """The workspace of the given photos; or the given workspace, with what it remembers."""
+    if root is None and len(photos) == 1 and spaces.is_workspace(photos[0]):
+        memory = spaces.remembered(photos[0], recipe_name, assignments)
+        return spaces.open_workspace(photos[0], memory)
+    absolute = tuple(spaces.absolute(path) for path in photos)
+    name = spaces.absolute_recipe(recipe_name or recipe.DEFAULT)
+    memory = Memory(absolute, name, tuple(assignments))
+    space = spaces.open_workspace(root or spaces.default_root(photos), memory)
+    space.source.files()  # a missing or empty folder is said before a workspace is made
+    return space
+
+
+def _print_plan(space: Workspace, until: str | None, again: set[str], as_json: bool) -> None:
+    wanted = space.pipeline.needed_for(until)
+    steps = [step for step in space.status() if step.stage in wanted]
+    if as_json:
+        _print_json({"settings": settings_json(space), "stages": steps_json(steps, space)})
+        return
+    for step in steps:
+        asked = step.stage.name in again and step.manifest
+        print(f"{step.stage.name:9} {'asked for again' if asked else step.reason}")
+
+
+def _weight(path: Path) -> int:
+    files = [path] if path.is_file() else [file for file in path.rglob("*") if file.is_file()]
+    return sum(file.stat().st_size for file in files)
+
+
+def _print_json(record: Any) -> None:
+    print(json.dumps(record, indent=2, ensure_ascii=False, default=str))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,139 @@
+"""What is installed, what it can do, and one fix for each problem."""
+
+import os
+import platform
+import shutil
+import sys
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from refdgs_pipe import __version__
+from refdgs_pipe.child import call_in_child
+from refdgs_pipe.cli.console import size
+from refdgs_pipe.cli.device import core_count, cuda_problem, has_driver
+from refdgs_pipe.errors import RefdgsError
+
+# module -> (distribution, what the system must have for it on Debian)
+LIBRARIES = {
+    "torch": ("torch", ""),
+    "cv2": ("opencv-contrib-python-headless", ""),
+    "PIL": ("pillow", ""),
+    "rawpy": ("rawpy", "libgomp1"),
+    "pycolmap": ("pycolmap", "libgomp1"),
+    "open3d": ("open3d-cpu", "libgl1 libegl1 libx11-6 libusb-1.0-0 libgomp1"),
+    "pymeshlab": ("pymeshlab", "libgl1 libopengl0"),
+    "xatlas": ("xatlas", ""),
+    "pxr": ("usd-core", ""),
+    "safetensors": ("safetensors", ""),
+}
+ENOUGH_DISK = 5_000_000_000
+ENOUGH_MEMORY = 4_000_000_000
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was looked at; `fix` says what to do if it is not ok."""
+
+    name: str
+    ok: bool
+    text: str
+    fix: str = ""
+
+
+def examine() -> list[Finding]:
+    """Look at everything. Libraries are loaded in processes of their own: some abort."""
+    findings = [_python(), _native()]
+    findings += [_library(module, *entry) for module, entry in LIBRARIES.items()]
+    return [*findings, _gpu(), _cores(), _memory(), _disk()]
+
+
+def load(module: str) -> str:
+    """Import a module and return where it is; runs in a child process."""
+    return str(import_module(module).__file__)
+
+
+def native_facts() -> dict[str, str]:
+    """What the native module was built with; runs in a child process."""
+    import torch  # noqa: F401 (its OpenMP runtime must be the one in use)
+
+    native = import_module("_refdgs_native")
+    archs = native.cuda_archs
+    facts = {"instructions": native.isa(), "openmp": str(native.openmp), "cuda": archs or "none"}
+    if archs:
+        facts["GPU"] = native.cuda_device() or "none seen"
+    return facts
+
+
+def _python() -> Finding:
+    ok = sys.version_info >= (3, 11)
+    text = f"{platform.python_version()}, refdgs-pipe {__version__}, {platform.platform()}"
+    return Finding("python", ok, text, "" if ok else "Use Python 3.11 or newer")
+
+
+def _native() -> Finding:
+    try:
+        facts = call_in_child("refdgs_pipe.cli.doctor:native_facts", {}, timeout_s=120)
+    except (RefdgsError, ImportError, RuntimeError, AttributeError) as error:
+        fix = "Install a C++ compiler (apt-get install g++ python3-dev), then: pip install ."
+        return Finding("native module", False, _first_line(error), fix)
+    return Finding("native module", True, ", ".join(f"{k} {v}" for k, v in facts.items()))
+
+
+def _library(module: str, distribution: str, packages: str) -> Finding:
+    try:
+        call_in_child("refdgs_pipe.cli.doctor:load", {"module": module}, timeout_s=120)
+    except ModuleNotFoundError:
+        return Finding(module, False, "not installed", f"pip install {distribution}")
+    except (RefdgsError, ImportError, OSError, RuntimeError, AttributeError) as error:
+        system = f"apt-get install {packages}" if packages else ""
+        fix = system or f"pip install --force-reinstall {distribution}"
+        return Finding(module, False, _first_line(error), fix)
+    return Finding(module, True, _version(distribution))
+
+
+def _gpu() -> Finding:
+    if not has_driver():
+        return Finding("GPU", True, "none; everything runs on the CPU")
+    try:
+        problem = cuda_problem()
+    except ImportError as error:
+        problem = str(error)
+    if problem is None:
+        return Finding("GPU", True, "in use")
+    text, _, fix = problem.partition(". ")
+    return Finding("GPU", False, text, fix)
+
+
+def _cores() -> Finding:
+    return Finding("cores", True, str(core_count()))
+
+
+def _memory() -> Finding:
+    try:
+        total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (ValueError, OSError, AttributeError):
+        return Finding("memory", True, "unknown")
+    ok = total >= ENOUGH_MEMORY
+    fix = "" if ok else "Use --recipe preview, and a smaller ingest.max_side"
+    return Finding("memory", ok, size(total), fix)
+
+
+def _disk() -> Finding:
+    free = shutil.disk_usage(Path.cwd()).free
+    ok = free >= ENOUGH_DISK
+    fix = "" if ok else "Free some space, or put the workspace elsewhere with -w"
+    return Finding("disk here", ok, f"{size(free)} free", fix)
+
+
+def _version(distribution: str) -> str:
+    try:
+        return version(distribution)
+    except PackageNotFoundError:
+        return "installed"
+
+
+def _first_line(error: BaseException) -> str:
+    lines = [line for line in str(error).splitlines() if line.strip()]
+    return lines[0] if lines else type(error).__name__

@@ -1,0 +1,60 @@
+"""The log of a run: one JSON object a line, in the workspace's logs/."""
+
+import json
+import os
+import time
+import traceback
+from contextlib import suppress
+from dataclasses import asdict
+from pathlib import Path
+from typing import IO, Any
+
+from refdgs_pipe.errors import RefdgsError
+from refdgs_pipe.pipeline.events import Event, Progress
+
+KEPT = 50  # older logs go
+EVERY_S = 2.0  # at most one line of progress in this time
+
+
+class RunLog:
+    """Writes events as they come. A disk that cannot take them does not end the run."""
+
+    def __init__(self, root: Path) -> None:
+        stamp = time.strftime("%Y%m%d-%H%M%S", time.gmtime())
+        self.path = root / "logs" / f"{stamp}-{os.getpid()}.jsonl"
+        self._file: IO[str] | None = None
+        self._last_progress = 0.0
+        with suppress(OSError):
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            for old in sorted(self.path.parent.glob("*.jsonl"))[: -KEPT + 1]:
+                old.unlink()
+            self._file = self.path.open("w", encoding="utf-8", buffering=1)
+
+    def __call__(self, event: Event) -> None:
+        now = time.monotonic()
+        if isinstance(event, Progress):
+            if now - self._last_progress < EVERY_S and event.done != event.total:
+                return
+            self._last_progress = now
+        self.write(type(event).__name__.lower(), **asdict(event))
+
+    def write(self, event: str, **record: Any) -> None:
+        """Add a line."""
+        if self._file is not None:
+            line = {"time": round(time.time(), 3), "event": event, **record}
+            with suppress(OSError):
+                print(json.dumps(line, ensure_ascii=False, default=str), file=self._file)
+
+    def error(self, error: BaseException) -> None:
+        """Add the end of a run that failed, with the traceback and a child's last words."""
+        text = "".join(traceback.format_exception(error))
+        kind, code = type(error).__name__, getattr(error, "exit_code", 70)
+        self.write("failed", kind=kind, exit_code=code, message=str(error), traceback=text)
+        if not isinstance(error, RefdgsError) and self._file is not None:
+            error.add_note(str(self.path))
+
+    def close(self) -> None:
+        """Close the file."""
+        if self._file is not None:
+            with suppress(OSError):
+                self._file.close()

@@ -1,0 +1,175 @@
+"""One run, as the command line does it: lock, log, signals, progress, and the words at its end."""
+
+import json
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from refdgs_pipe.cli.console import Console, duration, figure, size
+from refdgs_pipe.cli.device import choose_device, core_count
+from refdgs_pipe.cli.logs import RunLog
+from refdgs_pipe.cli.signals import Stopper
+from refdgs_pipe.cli.workspace import Workspace
+from refdgs_pipe.errors import Cancelled
+from refdgs_pipe.pipeline.catalog import PUBLISHED
+from refdgs_pipe.pipeline.events import Event, Finished
+from refdgs_pipe.pipeline.plan import Step
+from refdgs_pipe.pipeline.runner import Request, run
+
+DEGRADED = 3  # exit code of --strict when there were warnings
+
+
+@dataclass(frozen=True)
+class Options:
+    """How a run works and speaks. Nothing here changes a result."""
+
+    until: str | None = None
+    force: frozenset[str] = frozenset()
+    device: str = "auto"
+    threads: int = 0
+    json: bool = False
+    strict: bool = False
+    verbosity: int = 1
+
+
+def make(workspace: Workspace, options: Options) -> int:
+    """Run the pipeline and say what came out. Return the exit code.
+
+    Raises:
+        RefdgsError: what went wrong, in words.
+    """
+    if options.device != "auto":
+        choose_device(options.device)
+    start = time.monotonic()
+    with workspace.pipeline.store.lock():
+        workspace.memory.write(workspace.root)
+        steps, made = _run_logged(workspace, options)
+    seconds = time.monotonic() - start
+    record = _record(workspace, steps, made, seconds)
+    if options.json:
+        _print_json(record)
+    else:
+        _print_summary(record, steps, made, options.verbosity)
+    return DEGRADED if options.strict and record["status"] == "degraded" else 0
+
+
+def _run_logged(workspace: Workspace, options: Options) -> tuple[list[Step], dict[str, float]]:
+    """Run with the signals, the log and the console listening."""
+    log, made = RunLog(workspace.root), dict[str, float]()
+    expected = {
+        step.stage.name: step.expected_s
+        for step in workspace.status()
+        if step.manifest is None or step.stage.name in options.force
+    }
+    wanted = {stage.name for stage in workspace.pipeline.needed_for(options.until)}
+    console = Console(
+        {name: seconds for name, seconds in expected.items() if name in wanted},
+        verbosity=options.verbosity,
+    )
+
+    def listen(event: Event) -> None:
+        log(event)
+        console(event)
+        if isinstance(event, Finished):
+            made[event.stage] = event.seconds
+
+    with Stopper() as stopper, console:
+        request = Request(
+            until=options.until,
+            force=options.force,
+            device=lambda: choose_device(options.device),
+            threads=options.threads or core_count(),
+            stop=stopper.stop,
+            publish=PUBLISHED,
+        )
+        log.write("run", workspace=str(workspace.root), settings=settings_json(workspace))
+        try:
+            steps = run(workspace.pipeline, workspace.source, workspace.settings, listen, request)
+        except Cancelled as error:
+            ended = stopper.error(error)
+            log.error(ended)
+            raise ended from None
+        except BaseException as error:
+            log.error(error)
+            raise
+        finally:
+            log.close()
+    return steps, made
+
+
+def settings_json(workspace: Workspace) -> dict[str, Any]:
+    """Every setting of every stage."""
+    return {name: params.model_dump(mode="json") for name, params in workspace.settings.items()}
+
+
+def steps_json(steps: Sequence[Step], workspace: Workspace) -> list[dict[str, Any]]:
+    """How stages stand, for programs."""
+    records = []
+    for step in steps:
+        record: dict[str, Any] = {
+            "stage": step.stage.name,
+            "state": step.state,
+            "reason": step.reason,
+        }
+        if step.origin and step.manifest:
+            record |= {
+                "folder": str(workspace.pipeline.store.folder(step.origin)),
+                "key": step.origin.key,
+                "seconds": step.manifest.seconds,
+                "warnings": list(step.manifest.warnings),
+                "measures": {n: v for n, v, _ in step.manifest.measures},
+            }
+        records.append(record)
+    return records
+
+
+def _record(
+    workspace: Workspace, steps: Sequence[Step], made: dict[str, float], seconds: float
+) -> dict[str, Any]:
+    warnings = [w for step in steps if step.manifest for w in step.manifest.warnings]
+    published = {name for name in PUBLISHED if any(s.stage.name == name for s in steps)}
+    folders = [workspace.root / PUBLISHED[name] for name in published]
+    return {
+        "status": "degraded" if warnings else "ok",
+        "workspace": str(workspace.root),
+        "asset": str(folders[0]) if folders else None,
+        "files": _sizes(folders[0]) if folders else {},
+        "made": list(made),
+        "seconds": round(seconds, 3),
+        "warnings": warnings,
+        "stages": steps_json(steps, workspace),
+    }
+
+
+def _sizes(folder: Path) -> dict[str, int]:
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    return {path.relative_to(folder).as_posix(): path.stat().st_size for path in files}
+
+
+def _print_summary(
+    record: dict[str, Any], steps: Sequence[Step], made: dict[str, float], verbosity: int
+) -> None:
+    """What came out on stderr; where it is on stdout."""
+    if verbosity:
+        if made:
+            times = ", ".join(f"{name} {duration(seconds)}" for name, seconds in made.items())
+            print(f"\nmade {times}", file=sys.stderr)
+        last = steps[-1].manifest
+        if record["asset"] and last:
+            for name, count in record["files"].items():
+                print(f"  {name}  {size(count)}", file=sys.stderr)
+            for name, value, unit in last.measures:
+                print(f"  {name}: {figure(value)} {unit}".rstrip(), file=sys.stderr)
+        if record["warnings"]:
+            print(f"{len(record['warnings'])} warnings: see above or `status`", file=sys.stderr)
+        took = f"in {duration(record['seconds'])}" if made else "everything was up to date"
+        print(f"finished, {took}", file=sys.stderr)
+    if record["asset"]:
+        print(record["asset"])
+
+
+def _print_json(record: dict[str, Any]) -> None:
+    print(json.dumps(record, indent=2, ensure_ascii=False))

@@ -1,0 +1,230 @@
+"""Recipes: named sets of differences from the defaults that stand in the code.
+
+A recipe is a TOML file. It opens with a comment that says when to use it, may build on another one
+(`extends = "glossy"`), and has a table for each stage that it changes.
+"""
+
+import difflib
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+from pydantic.fields import FieldInfo
+
+from refdgs_pipe.errors import InputError
+from refdgs_pipe.params import Params
+
+DEFAULT = "glossy"
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """A recipe as written, with those it extends merged in.
+
+    Args:
+        about: its opening comment.
+        tables: stage -> setting -> value, as TOML has them.
+        origins: "stage.setting" -> the file that said so.
+    """
+
+    name: str
+    about: str
+    tables: dict[str, dict[str, Any]]
+    origins: dict[str, str]
+
+
+def names() -> list[str]:
+    """The recipes that come with the product, the default first."""
+    folder = files("refdgs_pipe.recipes")
+    found = [Path(file.name) for file in folder.iterdir()]
+    stems = sorted(path.stem for path in found if path.suffix == ".toml")
+    return sorted(stems, key=lambda name: name != DEFAULT)
+
+
+def load(name: str) -> Recipe:
+    """Read a recipe by name, or from a TOML file of the user's.
+
+    Raises:
+        InputError: there is no such recipe, it is not TOML, or it extends itself.
+    """
+    return _load(name, Path(), seen=())
+
+
+def resolve(
+    recipe: Recipe, assignments: Iterable[str], models: Mapping[str, type[Params]]
+) -> dict[str, Params]:
+    """The settings of every stage: defaults, then the recipe, then the `stage.key=value` given.
+
+    Raises:
+        InputError: a stage or setting is unknown, or a value is not allowed.
+    """
+    tables = {stage: dict(table) for stage, table in recipe.tables.items()}
+    origins = dict(recipe.origins)
+    for text in assignments:
+        stage, key, value = _parse_assignment(text)
+        _merge(tables, {stage: _nested(key, value)})
+        origins[f"{stage}.{key}"] = f"--set {text}"
+    for stage, table in tables.items():
+        where = next((o for key, o in origins.items() if key.startswith(f"{stage}.")), recipe.name)
+        if stage not in models:
+            raise InputError(f"{where}: no stage is called {stage!r}{_nearest(stage, models)}")
+        for key in table:
+            if key not in models[stage].model_fields:
+                where = origins.get(f"{stage}.{key}", where)
+                hint = _nearest(key, models[stage].model_fields, f"{stage}.")
+                raise InputError(f"{where}: {stage} has no setting {key!r}{hint}")
+    return {stage: _validate(stage, model, tables, origins) for stage, model in models.items()}
+
+
+def describe(settings: Mapping[str, Params], *, only: Recipe | None = None) -> str:
+    """Settings as TOML, each with its meaning; `only` those that a recipe mentions."""
+    lines: list[str] = []
+    for stage, params in settings.items():
+        mentioned = only.tables.get(stage, {}) if only else type(params).model_fields
+        if not mentioned:
+            continue
+        lines += ["", f"[{stage}]"]
+        for key in mentioned:
+            info = type(params).model_fields[key]
+            value = getattr(params, key)
+            text = _toml(value.model_dump() if isinstance(value, Params) else value)
+            lines.append(f"# {meaning(info)}")
+            lines.append(f"# {key} =" if text is None else f"{key} = {text}")
+    return "\n".join(lines).strip() + "\n"
+
+
+def meaning(info: FieldInfo) -> str:
+    """A setting's description with its limits and default."""
+    words = {"gt": "above", "ge": "at least", "lt": "below", "le": "at most"}
+    limits = [
+        f"{word} {getattr(rule, limit):g}"
+        for rule in info.metadata
+        for limit, word in words.items()
+        if hasattr(rule, limit)
+    ]
+    default = "unset" if info.default is None else _toml(info.default)
+    return f"{info.description} ({', '.join([*limits, f'default {default}'])})"
+
+
+def _load(name: str, beside: Path, seen: tuple[str, ...]) -> Recipe:
+    text, label = _read(name, beside)
+    if label in seen:
+        raise InputError(f"{label}: extends itself, by way of {' -> '.join(seen)}")
+    try:
+        tables = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{label}: not TOML: {error}") from None
+    parent = tables.pop("extends", None)
+    if parent is not None and not isinstance(parent, str):
+        raise InputError(f"{label}: extends = {parent!r}: expected the name of a recipe")
+    for stage, table in tables.items():
+        if not isinstance(table, dict):
+            raise InputError(f"{label}: {stage} stands outside a table. Put it under a [stage]")
+    merged: dict[str, dict[str, Any]] = {}
+    origins: dict[str, str] = {}
+    if parent is not None:
+        folder = Path(name).parent if name.endswith(".toml") else Path()
+        base = _load(parent, beside / folder, (*seen, label))
+        merged, origins = base.tables, base.origins
+    _merge(merged, tables)
+    origins |= {f"{stage}.{key}": label for stage, table in tables.items() for key in table}
+    return Recipe(name, _opening_comment(text), merged, origins)
+
+
+def _read(name: str, beside: Path) -> tuple[str, str]:
+    """The text of a recipe and how to call it in messages."""
+    if name.endswith(".toml") or "/" in name:
+        path = beside / name
+        try:
+            return path.read_text("utf-8"), str(path)
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError(f"{path}: cannot read this recipe ({error})") from None
+    if name not in names():
+        hint = _nearest(name, names())
+        raise InputError(
+            f"no recipe is called {name!r}{hint} There are: {' '.join(names())}, or a .toml file"
+        )
+    text = (files("refdgs_pipe.recipes") / f"{name}.toml").read_text("utf-8")
+    return text, f"recipe {name}"
+
+
+def _opening_comment(text: str) -> str:
+    lines = []
+    for line in text.splitlines():
+        if not line.startswith("#"):
+            break
+        lines.append(line.lstrip("# ").rstrip())
+    return " ".join(lines)
+
+
+def _parse_assignment(text: str) -> tuple[str, str, Any]:
+    path, equals, raw = text.partition("=")
+    stage, dot, key = path.strip().partition(".")
+    if not (equals and dot and stage and key):
+        raise InputError(f"--set {text}: expected stage.setting=value, as in extract.voxel=0.002")
+    try:
+        return stage, key, tomllib.loads(f"value = {raw}")["value"]
+    except tomllib.TOMLDecodeError:
+        return stage, key, raw.strip()  # a word needs no quotes on the command line
+
+
+def _nested(key: str, value: Any) -> dict[str, Any]:
+    """{"a": {"b": value}} for the key "a.b"."""
+    for part in reversed(key.split(".")):
+        value = {part: value}
+    assert isinstance(value, dict)
+    return value
+
+
+def _merge(into: dict[str, Any], more: Mapping[str, Any]) -> None:
+    for key, value in more.items():
+        if isinstance(value, dict) and isinstance(into.get(key), dict):
+            into[key] = dict(into[key])
+            _merge(into[key], value)
+        else:
+            into[key] = value
+
+
+def _validate(
+    stage: str,
+    model: type[Params],
+    tables: Mapping[str, Mapping[str, Any]],
+    origins: Mapping[str, str],
+) -> Params:
+    try:
+        return model.model_validate(tables.get(stage, {}))
+    except ValidationError as error:
+        problem = error.errors()[0]
+        key = ".".join(str(part) for part in problem["loc"])
+        info = model.model_fields.get(str(problem["loc"][0])) if problem["loc"] else None
+        origin = origins.get(f"{stage}.{key}", "recipe")
+        reason = problem["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
+        about = f". {key}: {meaning(info)}" if info else ""
+        shown = _toml(problem["input"]) or "unset"
+        raise InputError(f"{origin}: {stage}.{key} = {shown}: expected {reason}{about}") from None
+
+
+def _nearest(name: str, known: Iterable[str], prefix: str = "") -> str:
+    """A question with the closest known name, or the end of the sentence."""
+    close = difflib.get_close_matches(name, list(known), n=1, cutoff=0.5)
+    return f". Did you mean {prefix}{close[0]}?" if close else "."
+
+
+def _toml(value: Any) -> str | None:
+    """A value as TOML writes it; None has no TOML."""
+    if value is None:
+        return None
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    if isinstance(value, Mapping):
+        items = ((key, _toml(item)) for key, item in value.items())
+        return "{ " + ", ".join(f"{key} = {item}" for key, item in items if item) + " }"
+    if isinstance(value, Sequence):
+        return "[" + ", ".join(_toml(item) or "" for item in value) + "]"
+    return str(value)
