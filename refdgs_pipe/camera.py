@@ -49,6 +49,14 @@ class Camera:
         scale = np.diag([width / self.width, height / self.height, 1.0])
         return replace(self, width=width, height=height, K=scale @ self.K)
 
+    def fitted(self, longest: int) -> "Camera":
+        """The same camera for an image whose longer side is at most `longest` pixels."""
+        scale = longest / max(self.width, self.height)
+        if scale >= 1:
+            return self
+        size = (max(1, round(side * scale)) for side in (self.width, self.height))
+        return self.resized(*size)
+
     def pixel_rays(self) -> F64:
         """(H, W, 3) camera-space rays through the pixel centres, with z = 1."""
         x, y = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)

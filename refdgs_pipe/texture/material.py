@@ -6,11 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from refdgs_pipe.artifacts.mesh import UvMesh
+from refdgs_pipe.artifacts.surface_map import SurfaceMap
 from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
 from refdgs_pipe.color import srgb_from_linear
-from refdgs_pipe.texture.baking import Surface
-from refdgs_pipe.texture.tangents import tangent_space
-from refdgs_pipe.texture.texels import Texels
+from refdgs_pipe.texture.baking import Gather, Surface
+from refdgs_pipe.texture.tangents import mikktspace, tangent_space
+from refdgs_pipe.texture.texels import Texels, rasterize
 
 F32 = NDArray[np.float32]
 
@@ -53,10 +54,41 @@ def plain(surface: Surface) -> Reflectance:
     return Reflectance(surface.diffuse, np.zeros_like(surface.roughness))
 
 
-def painted(
-    mesh: UvMesh, tangents: F32, texels: Texels, surface: Surface, split: Reflectance
-) -> TexturedMesh:
+class Painter:
+    """Paints a mesh from the maps of one view after another.
+
+    Args:
+        size: side of the textures in texels, a power of two.
+        tolerance: how far the maps may lie off the mesh, world units.
+    """
+
+    def __init__(self, mesh: UvMesh, size: int, *, tolerance: float) -> None:
+        self.mesh, self.seen_share = mesh, 0.0
+        self._texels = rasterize(mesh, size)
+        normals = self._texels.interpolate(mesh, mesh.normals)
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+        points = self._texels.interpolate(mesh, mesh.vertices)
+        self._gather = Gather(points, normals, tolerance=tolerance)
+
+    def add(self, view: SurfaceMap) -> None:
+        """Take what one view shows."""
+        self._gather.add(view)
+
+    def paint(self, *, metal: bool) -> TexturedMesh:
+        """The textures; `metal` tells metal from the rest by what it reflects.
+
+        Raises:
+            MeshError: no view saw any part of the mesh.
+        """
+        surface = self._gather.surface()
+        self.seen_share = float(surface.seen.mean())
+        split = reflectance(surface) if metal else plain(surface)
+        return _painted(self.mesh, self._texels, surface, split)
+
+
+def _painted(mesh: UvMesh, texels: Texels, surface: Surface, split: Reflectance) -> TexturedMesh:
     """The mesh with every texture filled, also between the charts."""
+    tangents = mikktspace(mesh)
     normal = tangent_space(texels, mesh, tangents, surface.normal)
     return TexturedMesh(
         mesh,

@@ -1,0 +1,55 @@
+"""Turn the fused mesh into one clean surface within a face budget."""
+
+from pydantic import Field
+
+from refdgs_pipe.artifacts.mesh import Mesh, RawMesh
+from refdgs_pipe.artifacts.sparse_model import SparseModel
+from refdgs_pipe.params import Params
+from refdgs_pipe.pipeline.stage import Job, stage
+
+
+class CleanParams(Params):
+    """Repair and simplification of the mesh."""
+
+    floater: float = Field(
+        0.08,
+        ge=0,
+        le=1,
+        description="loose pieces smaller than this are removed, in diameters of the object ball",
+    )
+    hole: float = Field(
+        0.15,
+        ge=0,
+        le=10,
+        description="holes with a rim up to this long are closed, in diameters of the object ball",
+    )
+    smoothing: int = Field(5, ge=0, le=200, description="smoothing steps (Taubin), a count")
+    faces: int = Field(
+        50_000, ge=100, le=5_000_000, description="the most triangles the mesh may have, a count"
+    )
+
+
+@stage(version=1, programs=("pymeshlab",))
+def clean(raw: RawMesh, model: SparseModel, params: CleanParams, job: Job) -> Mesh:
+    """Remove floaters, repair, close small holes, smooth, and simplify to the budget."""
+    from refdgs_pipe.surface import cleanup
+
+    diameter = 2 * model.ball.radius
+    job.progress("cleaning", 0, None)
+    done = cleanup.clean(
+        raw,
+        floater=params.floater * diameter,
+        hole=params.hole * diameter,
+        smoothing=params.smoothing,
+        faces=params.faces,
+        stop=job.stop,
+    )
+    removed, mesh = done.removed, done.mesh
+    job.measure("faces", len(mesh.faces))
+    job.measure("floaters removed", removed.pieces)
+    job.measure("floaters' share of the area", round(removed.area_share, 4))
+    job.measure("open rims", len(done.rims))
+    job.measure("open area", round(sum(r.area for r in done.rims), 4), "square world units")
+    if removed.area_share > 0.2:
+        job.warn(f"{removed.area_share:.0%} of the fused surface was loose pieces and is removed")
+    return mesh
