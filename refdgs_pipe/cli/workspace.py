@@ -136,6 +136,7 @@ def open_workspace(root: Path, memory: Memory | None = None) -> Workspace:
     Raises:
         InputError: it is not a workspace, or the settings are wrong.
     """
+    root = absolute(root)
     memory = memory or Memory.read(root)
     pipeline = catalog.build(Store(root))
     models = {stage.name: stage.params for stage in pipeline.stages}

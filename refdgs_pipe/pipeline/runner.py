@@ -59,6 +59,7 @@ def run(
     request = request or Request()
     stages = pipeline.needed_for(request.until)
     with pipeline.store.lock():
+        pipeline.store.sweep()
         work = _Run(pipeline, source, settings, emit, request)
         while True:
             work.done.clear()

@@ -143,10 +143,9 @@ class Store:
             note.write_text(origin.key, "utf-8")
 
     def partial(self, origin: Origin) -> Path:
-        """An empty folder to build a result in. What a killed run left behind goes first."""
+        """An empty folder to build a result in."""
         folder = self.folder(origin).with_name(f".partial-{origin.key}")
-        for leftover in folder.parent.glob(".partial-*"):
-            remove(leftover)
+        remove(folder)
         folder.mkdir(parents=True)
         return folder
 
@@ -181,6 +180,12 @@ class Store:
             sync(self.root)
             self.drop_scratch(origin)
         return manifest
+
+    def sweep(self) -> None:
+        """Delete what killed runs left half-made. Scratch stays: it is there to resume from."""
+        for pattern in ("*/.partial-*", "*/.trash-*", ".trash-*", ".new-*"):
+            for leftover in self.root.glob(pattern):
+                remove(leftover)
 
     def set_aside(self, origin: Origin) -> Path:
         """Move a damaged result out of the way, for the user to look at. Return where it went."""

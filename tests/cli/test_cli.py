@@ -1,0 +1,296 @@
+"""The command line, over small stages: what it prints, where, and how it ends."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+FAKE_CLI = Path(__file__).parent.parent / "fake_cli.py"
+
+
+class Shell:
+    """Runs the command line in a folder with two letters."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.letters = root / "letters"
+        self.letters.mkdir()
+        (self.letters / "a.txt").write_text("hello")
+        (self.letters / "b.txt").write_text("world")
+        self.work = root / "letters.refdgs"
+
+    def start(self, *arguments: str, **environment: str) -> subprocess.Popen[str]:
+        paths = os.pathsep.join(path for path in sys.path if path)
+        return subprocess.Popen(
+            [sys.executable, str(FAKE_CLI), *arguments],
+            cwd=self.root,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=os.environ | {"PYTHONPATH": paths, "COLUMNS": "100"} | environment,
+        )
+
+    def __call__(
+        self, *arguments: str, code: int = 0, **environment: str
+    ) -> subprocess.CompletedProcess[str]:
+        process = self.start(*arguments, **environment)
+        out, err = process.communicate(timeout=60)
+        assert process.returncode == code, out + err
+        assert "Traceback" not in out + err
+        return subprocess.CompletedProcess(process.args, process.returncode, out, err)
+
+    def json(self, *arguments: str, code: int = 0) -> Any:
+        return json.loads(self(*arguments, "--json", code=code).stdout)
+
+
+@pytest.fixture
+def shell(tmp_path: Path) -> Shell:
+    return Shell(tmp_path)
+
+
+def test_run_prints_the_asset_on_stdout_and_the_rest_on_stderr(shell: Shell) -> None:
+    result = shell("run", "letters")
+    assert result.stdout == f"{shell.work / 'asset'}\n"
+    assert (shell.work / "asset" / "text").read_text() == "HELLO WORLD! (hello world) 20.0"
+    lines = [re.sub(r"[\d.]+ s", "T", line) for line in result.stderr.splitlines()]
+    assert lines == [
+        "read: never run",
+        "read: done in T",
+        "shout: never run",
+        "shout: done in T",
+        "export: never run",
+        "export: done in T",
+        "",
+        "made read T, shout T, export T",
+        "  parts/0.bin  5.0 kB",
+        "  parts/1.bin  6.0 kB",
+        "  parts/2.bin  6.0 kB",
+        "  parts/3.bin  6.0 kB",
+        "  parts/4.bin  4.0 kB",
+        "  text  31 B",
+        "  faces: 12",
+        "finished, in T",
+    ]
+
+
+def test_a_second_run_says_that_everything_is_up_to_date(shell: Shell) -> None:
+    shell("run", "letters", "-q")
+    said = shell("run", "letters").stderr
+    assert said.splitlines()[:3] == ["read: up to date", "shout: up to date", "export: up to date"]
+    assert "finished, everything was up to date" in said
+
+
+def test_options_work_before_and_after_the_photos(shell: Shell) -> None:
+    shell("run", "--quiet", "--set", "shout.marks=2", "letters")
+    assert shell.json("run", "letters", "--set", "shout.marks=2")["made"] == []
+
+
+def test_json_is_one_object(shell: Shell) -> None:
+    record = shell.json("run", "letters")
+    assert record["status"] == "ok"
+    assert record["made"] == ["read", "shout", "export"]
+    assert record["files"]["text"] == 31
+    assert record["stages"][2]["measures"] == {"faces": 12}
+    assert Path(record["stages"][0]["folder"]).is_dir()
+
+
+def test_warnings_make_a_result_degraded_and_strict_makes_that_an_error(shell: Shell) -> None:
+    (shell.letters / "c.txt").write_text("odd")
+    assert shell.json("run", "letters")["status"] == "degraded"
+    assert shell.json("run", "letters", "--strict", code=3)["warnings"] == ["an odd letter"]
+    assert "warning: an odd letter" in shell("status", "letters.refdgs").stdout
+
+
+def test_the_workspace_remembers_photos_recipe_and_settings(shell: Shell) -> None:
+    shell("run", "letters", "--set", "shout.marks=2", "-w", "elsewhere")
+    assert shell.json("rerun", "elsewhere", "shout")["made"] == ["shout"]
+    status = shell.json("status", "elsewhere")
+    assert (status["recipe"], status["set"]) == ("glossy", ["shout.marks=2"])
+    assert {stage["state"] for stage in status["stages"]} == {"up to date"}
+    assert shell.json("run", "elsewhere", "--set", "export.width=30")["made"] == ["export"]
+
+
+def test_status_says_why_and_tries_settings_out(shell: Shell) -> None:
+    shell("run", "letters", "-q")
+    said = shell("status", "letters.refdgs", "--set", "shout.marks=3").stdout
+    assert "shout     stale  marks 1 -> 3\nexport    waiting  waits for shout\n" in said
+    assert "stale" not in shell("status", "letters.refdgs").stdout
+
+
+def test_a_dry_run_makes_nothing(shell: Shell) -> None:
+    said = shell("run", "letters", "--dry-run").stdout
+    assert said.splitlines()[0] == "read      never run"
+    assert not shell.work.exists()
+    shell("run", "letters", "-q")
+    said = shell("run", "letters", "--dry-run", "--from", "shout").stdout
+    assert said.splitlines() == [
+        "read      up to date",
+        "shout     asked for again",
+        "export    asked for again",
+    ]
+
+
+def test_from_force_and_until(shell: Shell) -> None:
+    assert shell.json("run", "letters", "--until", "shout")["made"] == ["read", "shout"]
+    shell("run", "letters", "-q")
+    assert shell.json("run", "letters", "--force", "read")["made"] == ["read"]
+    assert shell.json("run", "letters", "--from", "shout")["made"] == ["shout", "export"]
+    assert shell.json("run", "letters", "--from", "shout", "--until", "shout")["made"] == ["shout"]
+
+
+def test_path_prints_the_folder_of_a_result(shell: Shell) -> None:
+    shell("run", "letters", "-q")
+    folder = Path(shell("path", "letters.refdgs", "shout").stdout.strip())
+    assert (folder / "text").read_text() == "HELLO WORLD!"
+    assert shell("path", "letters.refdgs", "Shout").stdout.strip() == str(folder)
+    (shell.letters / "a.txt").write_text("bye")
+    said = shell("path", "letters.refdgs", "shout", code=64).stderr
+    assert said == "error: shout has no current result: waits for read. Make it with `run`\n"
+
+
+def test_results_can_be_looked_at_when_the_photos_are_gone(shell: Shell) -> None:
+    shell("run", "letters", "-q")
+    shell.letters.rename(shell.root / "archive")
+    assert "stale" not in shell("status", "letters.refdgs").stdout
+    assert shell("path", "letters.refdgs", "shout").stdout
+    assert "no such file or folder" in shell("rerun", "letters.refdgs", "read", code=65).stderr
+
+
+def test_photos_and_workspace_may_move_together(shell: Shell) -> None:
+    shell("run", "letters", "-q")
+    moved = shell.root / "other" / "place"
+    moved.mkdir(parents=True)
+    shell.letters.rename(moved / "letters")
+    shell.work.rename(moved / "letters.refdgs")
+    shell.root = moved
+    assert shell.json("run", "letters.refdgs")["made"] == []
+    assert shell.json("run", "letters")["made"] == []
+
+
+def test_adopt_and_drop(shell: Shell) -> None:
+    shell("run", "letters", "-q")
+    (shell.root / "mine.txt").write_text("MINE")
+    assert "adopted from mine.txt" in shell("adopt", "letters.refdgs", "shout", "mine.txt").stdout
+    assert shell.json("run", "letters")["made"] == ["export"]
+    assert "shout     adopted from mine.txt" in shell("status", "letters.refdgs").stdout
+    assert "its own result again" in shell("adopt", "letters.refdgs", "shout", "--drop").stdout
+    assert shell.json("run", "letters")["made"] == []
+    assert "give a file, or --drop" in shell("adopt", "letters.refdgs", "shout", code=64).stderr
+
+
+def test_clean_frees_old_results(shell: Shell) -> None:
+    shell("run", "letters", "-q")
+    shell("run", "letters", "-q", "--set", "shout.marks=2")
+    unused = shell.json("clean", "letters.refdgs", "--dry-run")["unused"]
+    assert len(unused) == 2
+    assert len(shell.json("clean", "letters.refdgs")["deleted"]) == 2
+    assert not any(Path(path).exists() for path in unused)
+    assert shell.json("run", "letters", "--set", "shout.marks=2")["made"] == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (["run", "nowhere"], 65, "nowhere: no such file or folder"),
+        (["run", "empty"], 65, "nothing in it"),
+        (["run", "letters", "--recipe", "glosy"], 64, "Did you mean glossy?"),
+        (["run", "letters", "--recipe", "mine.toml"], 64, "mine.toml: cannot read"),
+        (["run", "letters", "--set", "shout.marks"], 64, "expected stage.setting=value"),
+        (["run", "letters", "--set", "shuot.marks=1"], 64, "Did you mean shout?"),
+        (["run", "letters", "--set", "shout.mark=1"], 64, "Did you mean shout.marks?"),
+        (["run", "letters", "--set", "shout.marks=many"], 64, 'shout.marks = "many": expected'),
+        (["run", "letters", "--set", "shout.marks=10"], 64, "less than or equal to 9"),
+        (["run", "letters", "--until", "shot"], 64, "no stage is called 'shot'"),
+        (["run", "letters", "--device", "tpu"], 64, "expected auto, cpu, cuda"),
+        (["run", "letters", "--set", "shout.mood=mute"], 68, "no voice. Set shout.mood"),
+        (["status", "letters"], 64, "not a workspace"),
+        (["run"], 2, "Missing argument"),
+        (["run", "letters", "--nonsense"], 2, "No such option"),
+    ],
+)
+def test_mistakes_end_in_one_message_and_their_exit_code(
+    shell: Shell, arguments: list[str], code: int, words: str
+) -> None:
+    (shell.root / "empty").mkdir()
+    result = shell(*arguments, code=code)
+    assert words in result.stderr
+    assert result.stdout == ""
+
+
+def test_an_error_with_json_is_an_object_too(shell: Shell) -> None:
+    record = shell.json("run", "nowhere", code=65)
+    assert (record["status"], record["kind"], record["exit_code"]) == ("failed", "CaptureError", 65)
+
+
+def test_a_mistake_of_ours_is_one_line_and_a_log(shell: Shell) -> None:
+    (shell.letters / "a.txt").write_text("bug")
+    said = shell("run", "letters", "-q", code=70).stderr
+    log = Path(said.split()[-1])
+    assert log.parent == shell.work / "logs" and "KeyError" in said
+    last = json.loads(log.read_text().splitlines()[-1])
+    assert last["event"] == "failed" and "Traceback" in last["traceback"]
+
+
+def test_the_log_has_every_event_as_json(shell: Shell) -> None:
+    shell("run", "letters", "-q")
+    (log,) = (shell.work / "logs").glob("*.jsonl")
+    events = [json.loads(line) for line in log.read_text().splitlines()]
+    assert events[0]["settings"]["shout"] == {"marks": 1, "mood": "calm"}
+    assert [e["stage"] for e in events if e["event"] == "finished"] == ["read", "shout", "export"]
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 75)])
+def test_a_signal_stops_the_run_and_the_next_one_resumes(
+    shell: Shell, number: int, code: int
+) -> None:
+    process = shell.start("run", "letters", FAKE_STEP_S="0.2")
+    wait_for_checkpoint(shell)
+    process.send_signal(number)
+    _, said = process.communicate(timeout=20)
+    assert process.returncode == code
+    assert "stopping at the next safe point" in said
+    assert said.endswith("What is finished is kept; run again to go on\n")
+    record = shell.json("run", "letters")
+    assert record["made"] == ["shout", "export"]
+    assert record["stages"][1]["measures"]["resumed at"] >= 1
+
+
+def test_ctrl_c_twice_ends_the_process_at_once(shell: Shell) -> None:
+    process = shell.start("run", "letters", FAKE_STEP_S="30")
+    deadline = time.monotonic() + 20
+    while not list(shell.work.glob("shout/.scratch-*")):
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    time.sleep(0.1)
+    process.send_signal(signal.SIGINT)
+    time.sleep(0.3)
+    assert process.poll() is None
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=5)
+    assert process.returncode == 130
+    assert shell.json("run", "letters")["made"] == ["shout", "export"]
+
+
+def test_recipes_are_listed_and_shown(shell: Shell) -> None:
+    lines = shell("recipe", "list").stdout.splitlines()
+    assert lines[0].startswith("glossy ")
+    assert {line.split()[0] for line in lines} >= {"glossy", "matte", "preview"}
+
+
+def test_nothing_is_colored_without_a_terminal(shell: Shell) -> None:
+    result = shell("run", "letters")
+    assert "\x1b" not in result.stdout + result.stderr
+
+
+def wait_for_checkpoint(shell: Shell) -> None:
+    deadline = time.monotonic() + 20
+    while not list(shell.work.glob("shout/.scratch-*/done")):
+        assert time.monotonic() < deadline, "no checkpoint appeared"
+        time.sleep(0.02)
