@@ -30,6 +30,22 @@ class Exif:
     aperture: float | None = None
     iso: float | None = None
 
+    @property
+    def focal_fraction(self) -> float | None:
+        """Focal length divided by the image's long side, or None if the EXIF does not tell.
+
+        The sensor's size is preferred to the 35 mm equivalent, which is rounded and may be meant
+        by the diagonal; a resized file often keeps a stale resolution, which then disagrees.
+        """
+        by_film = self.focal_35mm / 36.0 if self.focal_35mm else None
+        by_sensor = None
+        if self.focal_mm and self.sensor_width_mm:
+            by_sensor = self.focal_mm / self.sensor_width_mm
+        if by_sensor and by_film and not 0.85 < by_sensor / by_film < 1.18:
+            by_sensor = None
+        best = by_sensor or by_film
+        return best if best and 0.3 < best < 20 else None
+
 
 @dataclass(frozen=True)
 class KnownPose:

@@ -31,6 +31,14 @@ MODEL_NAMES = (
     "THIN_PRISM_FISHEYE",
 )
 _PARAM_COUNTS = (3, 4, 4, 5, 8, 8, 12, 5, 4, 5, 12)
+_OPENCV_SLOTS: dict[str, tuple[int, ...]] = {
+    "SIMPLE_PINHOLE": (),
+    "PINHOLE": (),
+    "SIMPLE_RADIAL": (0,),
+    "RADIAL": (0, 1),
+    "OPENCV": (0, 1, 2, 3),
+    "FULL_OPENCV": (0, 1, 2, 3, 4, 5, 6, 7),
+}
 _POINT2D = np.dtype([("xy", "<f8", 2), ("id", "<i8")])
 
 
@@ -90,6 +98,22 @@ def write_model(folder: Path, model: ColmapModel, *, text: bool = False) -> None
         _write_text(folder, model, tracks)
     else:
         _write_binary(folder, model, tracks)
+
+
+def opencv_lens(model: str, params: F64) -> tuple[F64, F64]:
+    """(3, 3) K and (8,) OpenCV distortion k1 k2 p1 p2 k3 k4 k5 k6 of a camera model.
+
+    Raises:
+        ValueError: a fisheye or another model that OpenCV's rational model cannot express.
+    """
+    if model not in _OPENCV_SLOTS:
+        raise ValueError(f"camera model {model} is not supported: undistort to PINHOLE first")
+    focals = 1 if model in ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL") else 2
+    fx, fy = params[0], params[focals - 1]
+    cx, cy = params[focals : focals + 2]
+    distortion = np.zeros(8)
+    distortion[list(_OPENCV_SLOTS[model])] = params[focals + 2 :]
+    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]), distortion
 
 
 def _tracks(model: ColmapModel) -> dict[int, list[tuple[int, int]]]:

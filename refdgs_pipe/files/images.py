@@ -67,9 +67,7 @@ def read_header(path: Path) -> Header:
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         raise CaptureError(f"{path.name}: damaged {kind} header ({error})") from None
     if width * height > MAX_PIXELS:
-        raise CaptureError(
-            f"{path.name}: {width} x {height} pixels; at most {MAX_PIXELS} are read"
-        )
+        raise CaptureError(f"{path.name}: {width} x {height} pixels; at most {MAX_PIXELS} are read")
     return Header(kind, width, height, orientation if 1 <= orientation <= 8 else 1)
 
 

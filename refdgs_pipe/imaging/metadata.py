@@ -33,21 +33,6 @@ def read_exif(path: Path) -> Exif:
     )
 
 
-def focal_fraction(exif: Exif) -> float | None:
-    """Focal length divided by the image's long side, or None if the EXIF does not tell.
-
-    The sensor's size is preferred to the 35 mm equivalent, which is rounded and by the diagonal.
-    """
-    by_film = exif.focal_35mm / 36.0 if exif.focal_35mm else None
-    by_sensor = None
-    if exif.focal_mm and exif.sensor_width_mm:
-        by_sensor = exif.focal_mm / exif.sensor_width_mm
-    if by_sensor and by_film and not 0.85 < by_sensor / by_film < 1.18:
-        by_sensor = None  # a resized file often keeps a stale resolution
-    best = by_sensor or by_film
-    return best if best and 0.3 < best < 20 else None
-
-
 def _sensor_width(tags: dict[str, Any]) -> float | None:
     """Millimetres of the long side, from the pixels per unit on the focal plane."""
     density = _number(tags, "EXIF FocalPlaneXResolution")

@@ -5,12 +5,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from refdgs_pipe.artifacts.sparse_model import Ball
+from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import F64, Camera
+from refdgs_pipe.files.images import read_png
 
 F32 = NDArray[np.float32]
 
 GRID = 64  # cells along an edge of the carved cube
+MASK_SIDE = 200  # px: masks for carving a coarse grid need no more
+CARVING_PHOTOS = 40
 MARGIN = 1.03  # the soft rim of masks, and the cells' size
+
+
+def object_ball(cameras: tuple[Camera, ...], views: Views) -> Ball:
+    """The ball around the visual hull where there are masks, else what most photos show whole."""
+    center = focus_point(cameras)
+    guess = Ball(center, seen_radius(cameras, center))
+    masked = tuple(camera for camera in cameras if views[camera.name].mask is not None)
+    if len(masked) < 3:
+        return guess
+    masked = masked[:: -(-len(masked) // CARVING_PHOTOS)]
+    carved = carved_ball(masked, [_small_mask(views, camera.name) for camera in masked], guess)
+    return carved or guess
 
 
 def focus_point(cameras: tuple[Camera, ...]) -> F64:
@@ -99,3 +115,13 @@ def _inside_hull(
         seen += shown
         hits[shown] += grown[row, column]
     return (seen >= 0.8 * len(cameras)) & (hits >= seen - np.maximum(1, seen // 30))
+
+
+def _small_mask(views: Views, name: str) -> NDArray[np.float32]:
+    path = views.mask_path(views[name])
+    assert path is not None
+    mask = read_png(path)
+    scale = MASK_SIDE / max(mask.shape)
+    size = (max(1, round(mask.shape[1] * scale)), max(1, round(mask.shape[0] * scale)))
+    small = cv2.resize(mask, size, interpolation=cv2.INTER_AREA)
+    return np.asarray(small, np.float32) / np.float32(255)

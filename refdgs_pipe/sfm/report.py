@@ -1,0 +1,59 @@
+"""What the user may say about a sparse model, and what is said to the user."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from refdgs_pipe.artifacts.sparse_model import Ball, SparseModel
+from refdgs_pipe.sfm.frame import turned_up
+from refdgs_pipe.sfm.poses import Poses
+
+NAMES_SHOWN = 8
+
+
+def overridden(
+    model: SparseModel,
+    up: tuple[float, float, float] | None,
+    center: tuple[float, float, float] | None,
+    radius: float | None,
+) -> SparseModel:
+    """The model with what the user set, given in the frame of `model`.
+
+    Photos are turned so that `up` becomes z; the frame of known poses is never changed.
+    """
+    ball = model.ball
+    where = ball.center if center is None else np.array(center, float)
+    model = replace(model, ball=Ball(where, ball.radius if radius is None else radius))
+    if up is None:
+        return model
+    direction = np.array(up, float) / max(float(np.linalg.norm(up)), 1e-12)
+    if np.array_equal(model.sfm_from_world, np.eye(4)):
+        return replace(model, up=direction)
+    return turned_up(model, direction)
+
+
+def figures(model: SparseModel, poses: Poses | None) -> list[tuple[str, float | int | str, str]]:
+    """(name, value, unit) of what there is to know about a model at a glance."""
+    total = len(model.cameras) + len(model.lost)
+    center = ", ".join(f"{value:.3f}" for value in model.ball.center)
+    out: list[tuple[str, float | int | str, str]] = [
+        ("registered", f"{len(model.cameras)} of {total}", ""),
+        ("points", len(model.points), ""),
+        ("focal length", float(np.median([camera.K[0, 0] for camera in model.cameras])), "px"),
+        ("ball centre", center, "units"),
+        ("ball radius", model.ball.radius, "units"),
+    ]
+    if poses is not None:
+        out += [("reprojection error", poses.error_px, "px"), ("mapper", poses.mapper, "")]
+    return out
+
+
+def warnings_about(model: SparseModel) -> list[str]:
+    """The photos that found no place, if any."""
+    names = [view.name for view in model.lost]
+    if not names:
+        return []
+    more = f" and {len(names) - NAMES_SHOWN} more" if len(names) > NAMES_SHOWN else ""
+    total = len(names) + len(model.cameras)
+    listed = ", ".join(names[:NAMES_SHOWN])
+    return [f"{len(names)} of {total} photos found no place and are left out: {listed}{more}"]
