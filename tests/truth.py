@@ -41,7 +41,10 @@ def cameras(name: str, split: str = "test") -> list[Camera]:
 
 
 def surface_map(name: str, camera: Camera) -> SurfaceMap:
-    """The true maps of a test view; metals have no diffuse colour, so theirs is their F0."""
+    """The true maps of a test view.
+
+    Metals have no diffuse colour: what they show is specular. The rest has no specular here.
+    """
     from PIL import Image
 
     folder = SCENES / name / "test"
@@ -56,16 +59,23 @@ def surface_map(name: str, camera: Camera) -> SurfaceMap:
     normal = picture("_normal")[..., :3] * 2 - 1
     normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-6)
     rgba = picture("")
+    metal = np.isin(data["object_id"], metals(name))[..., None]
     return SurfaceMap(
         camera,
         depth=depth,
         alpha=here[..., 0].astype(np.float32),
         normal=np.where(here, normal, 0),
-        diffuse=np.where(here, linear_from_srgb(picture("_albedo")[..., :3]), 0),
-        specular=np.zeros_like(normal),
+        diffuse=np.where(here & ~metal, linear_from_srgb(picture("_albedo")[..., :3]), 0),
+        specular=np.where(metal, linear_from_srgb(rgba[..., :3]), 0),
         roughness=np.where(here[..., 0], np.sqrt(data["alpha_ggx"] / np.float32(255)), 0),
         color=rgba[..., :3] * rgba[..., 3:],
     )
+
+
+def metals(name: str) -> list[int]:
+    """The ids of the objects made of metal."""
+    record = json.loads((SCENES / name / "materials.json").read_text())
+    return [item["object_id"] for item in record if item["metallic"] > 0.5]
 
 
 def surface_maps(name: str) -> list[SurfaceMap]:

@@ -98,7 +98,12 @@ class Gather:
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-6)
         confidence = (1 - np.exp(-self._total / 0.7)) / (1 + (spread / 0.1) ** 2)
         return Surface(
-            values[:, :3], values[:, 3], normal.astype(np.float32), specular, confidence, seen
+            values[:, :3],
+            values[:, 3],
+            np.asarray(normal, np.float32),
+            np.asarray(specular, np.float32),
+            np.asarray(confidence, np.float32),
+            seen,
         )
 
     def _visible(self, view: SurfaceMap) -> tuple[Ints, F32, F32]:
@@ -153,11 +158,12 @@ def _combined(samples: NDArray[np.float16], weights: F32) -> tuple[F32, F32]:
     out = np.zeros((len(values), _CHANNELS), np.float32)
     spread = np.zeros(len(values), np.float32)
     for channels, least in ((slice(0, 3), 0.02), (slice(3, 4), 0.03), (slice(4, 7), 0.03)):
-        part, trust = values[..., channels], weights
-        mean, apart = _mean(part, trust)
+        part: F32 = values[..., channels]
+        trust: F32 = weights
+        mean, apart = _mean(part, weights)
         for _ in range(3):
             scale = np.maximum(_mean(apart[..., None], trust)[0], least)
-            trust = weights / (1 + (apart / scale) ** 2)
+            trust = (weights / (1 + (apart / scale) ** 2)).astype(np.float32)
             mean, apart = _mean(part, trust)
         out[:, channels] = mean
         if channels.start == 0:

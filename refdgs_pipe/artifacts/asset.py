@@ -1,0 +1,71 @@
+"""The exported files: what the user came for."""
+
+import hashlib
+import json
+import shutil
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Self
+
+from refdgs_pipe.errors import CorruptError
+
+
+@dataclass(frozen=True)
+class AssetFile:
+    """One exported file: its name in the folder, its size and its SHA-256."""
+
+    name: str
+    bytes: int
+    sha256: str
+
+
+@dataclass(frozen=True)
+class Asset:
+    """A folder of exported files, each of which passed its validator.
+
+    Args:
+        folder: where they are; `asset.json` there lists them.
+        files: sorted by name.
+        faces, texture_size: what the mesh and its textures weigh.
+    """
+
+    folder: Path
+    files: tuple[AssetFile, ...]
+    faces: int
+    texture_size: int
+
+    @classmethod
+    def of(cls, folder: Path, *, faces: int, texture_size: int) -> Self:
+        """List and hash what lies in a folder."""
+        paths = sorted(p for p in folder.rglob("*") if p.is_file() and p.name != "asset.json")
+        files = tuple(
+            AssetFile(
+                p.relative_to(folder).as_posix(),
+                p.stat().st_size,
+                hashlib.sha256(p.read_bytes()).hexdigest(),
+            )
+            for p in paths
+        )
+        return cls(folder, files, faces, texture_size)
+
+    def save(self, folder: Path) -> None:
+        """Write asset.json; the files are copied unless they are there."""
+        if folder != self.folder:
+            for file in self.files:
+                (folder / file.name).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(self.folder / file.name, folder / file.name)
+        record = {
+            "faces": self.faces,
+            "texture_size": self.texture_size,
+            "files": [asdict(file) for file in self.files],
+        }
+        (folder / "asset.json").write_text(json.dumps(record, indent=1), encoding="utf-8")
+
+    @classmethod
+    def load(cls, folder: Path) -> Self:
+        try:
+            record = json.loads((folder / "asset.json").read_text(encoding="utf-8"))
+            files = tuple(AssetFile(**file) for file in record["files"])
+            return cls(folder, files, record["faces"], record["texture_size"])
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise CorruptError(f"asset.json: {error}") from error

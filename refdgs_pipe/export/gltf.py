@@ -1,0 +1,113 @@
+"""glTF 2.0 in one binary file (GLB): metallic-roughness, tangents, nothing but the core."""
+
+import json
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from refdgs_pipe.export.product import Product, jpeg, png
+
+_FLOAT, _USHORT, _UINT = 5126, 5123, 5125
+_VERTICES, _INDICES = 34962, 34963  # bufferView.target
+_CLAMP, _LINEAR, _MIPMAPS = 33071, 9729, 9987
+
+
+def write_glb(path: Path, product: Product, *, generator: str, extras: dict[str, Any]) -> None:
+    """Write the product as a GLB.
+
+    Args:
+        generator: the tool and its version; extras: JSON kept in `asset.extras`.
+    """
+    chunk = _Chunk()
+    indices = product.faces.reshape(-1)
+    is_small = len(product.vertices) < 65535
+    attributes = {
+        "POSITION": chunk.accessor(product.vertices, "VEC3", _VERTICES, bounds=True),
+        "NORMAL": chunk.accessor(product.normals, "VEC3", _VERTICES),
+        "TANGENT": chunk.accessor(product.tangents, "VEC4", _VERTICES),
+        "TEXCOORD_0": chunk.accessor(product.uv, "VEC2", _VERTICES),
+    }
+    faces = chunk.accessor(indices.astype(np.uint16 if is_small else np.uint32), "SCALAR", _INDICES)
+    rough_metal = np.stack(  # occlusion would be red: none
+        [np.full_like(product.roughness, 255), product.roughness, product.metallic], -1
+    )
+    images = [
+        chunk.image("base_color", jpeg(product.base_color), "image/jpeg"),
+        chunk.image("metallic_roughness", png(rough_metal), "image/png"),
+        chunk.image("normal", png(product.normal), "image/png"),
+    ]
+    primitive = {"attributes": attributes, "indices": faces, "material": 0, "mode": 4}
+    document = {
+        "asset": {"version": "2.0", "generator": generator, "extras": extras},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"name": "object", "mesh": 0}],
+        "meshes": [{"name": "object", "primitives": [primitive]}],
+        "materials": [_material(product)],
+        "textures": [{"sampler": 0, "source": i} for i in range(len(images))],
+        "samplers": [
+            {"magFilter": _LINEAR, "minFilter": _MIPMAPS, "wrapS": _CLAMP, "wrapT": _CLAMP}
+        ],
+        "images": images,
+        "accessors": chunk.accessors,
+        "bufferViews": chunk.views,
+        "buffers": [{"byteLength": len(chunk.data)}],
+    }
+    text = json.dumps(document, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 4)
+    total = 12 + 8 + len(text) + 8 + len(chunk.data)
+    with path.open("wb") as file:
+        file.write(struct.pack("<4sII", b"glTF", 2, total))
+        file.write(struct.pack("<I4s", len(text), b"JSON") + text)
+        file.write(struct.pack("<I4s", len(chunk.data), b"BIN\0") + chunk.data)
+
+
+def _material(product: Product) -> dict[str, Any]:
+    return {
+        "name": "surface",
+        "doubleSided": product.is_open,
+        "pbrMetallicRoughness": {
+            "baseColorTexture": {"index": 0},
+            "metallicRoughnessTexture": {"index": 1},
+            "metallicFactor": 1.0,
+            "roughnessFactor": 1.0,
+        },
+        "normalTexture": {"index": 2},
+    }
+
+
+class _Chunk:
+    """The binary chunk while it grows. Every view starts at a multiple of four bytes."""
+
+    def __init__(self) -> None:
+        self.data = bytearray()
+        self.views: list[dict[str, Any]] = []
+        self.accessors: list[dict[str, Any]] = []
+
+    def _view(self, content: bytes, **more: Any) -> int:
+        view = {"buffer": 0, "byteOffset": len(self.data), "byteLength": len(content), **more}
+        self.views.append(view)
+        self.data += content + b"\0" * (-len(content) % 4)
+        return len(self.views) - 1
+
+    def accessor(
+        self, values: NDArray[Any], kind: str, target: int, *, bounds: bool = False
+    ) -> int:
+        component = {"f4": _FLOAT, "u2": _USHORT, "u4": _UINT}[values.dtype.str[1:]]
+        record: dict[str, Any] = {
+            "bufferView": self._view(np.ascontiguousarray(values).tobytes(), target=target),
+            "componentType": component,
+            "count": len(values),
+            "type": kind,
+        }
+        if bounds:
+            record["min"] = [float(x) for x in values.min(0)]
+            record["max"] = [float(x) for x in values.max(0)]
+        self.accessors.append(record)
+        return len(self.accessors) - 1
+
+    def image(self, name: str, content: bytes, mime: str) -> dict[str, Any]:
+        return {"name": name, "mimeType": mime, "bufferView": self._view(content)}

@@ -1,0 +1,110 @@
+"""The textured object as every format wants it: +Y up, metres, 8-bit pictures."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from refdgs_pipe.artifacts.mesh import UvMesh
+from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
+from refdgs_pipe.geometry import y_up_from_z_up
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+U8 = NDArray[np.uint8]
+
+_JPEG_QUALITY = 95
+
+
+@dataclass(frozen=True)
+class Product:
+    """A mesh in metres with +Y up, and its pictures, row 0 at v = 0 (top).
+
+    Args:
+        vertices, normals: (V, 3) float32; tangents: (V, 4); uv: (V, 2), v down; faces: (F, 3).
+        base_color: (S, S, 3) sRGB; roughness, metallic: (S, S) linear; normal: (S, S, 3), green up.
+        is_open: some edge has a face on one side only, so the inside can be seen.
+    """
+
+    vertices: F32
+    normals: F32
+    tangents: F32
+    uv: F32
+    faces: NDArray[np.int32]
+    base_color: U8
+    roughness: U8
+    metallic: U8
+    normal: U8
+    is_open: bool
+
+    @property
+    def has_metal(self) -> bool:
+        """Whether any of it is metal."""
+        return bool(self.metallic.any())
+
+
+def product(textured: TexturedMesh, *, up: F64, metres_per_unit: float) -> Product:
+    """Turn a textured mesh to +Y up and metres.
+
+    Args:
+        up: (3,) the world's up vector.
+    """
+    turn = y_up_from_z_up(up)
+    mesh = textured.mesh
+    return Product(
+        vertices=(mesh.vertices @ turn.T * metres_per_unit).astype(np.float32),
+        normals=_unit(mesh.normals @ turn.T),
+        tangents=np.concatenate(
+            [_unit(textured.tangents[:, :3] @ turn.T), textured.tangents[:, 3:]], axis=1
+        ),
+        uv=np.clip(mesh.uv, 0, 1),
+        faces=mesh.faces,
+        base_color=_eight_bits(textured.base_color),
+        roughness=_eight_bits(textured.roughness),
+        metallic=_eight_bits(textured.metallic),
+        normal=_eight_bits(textured.normal),
+        is_open=_is_open(mesh.vertices, mesh.faces),
+    )
+
+
+def metres_per_unit(mesh: UvMesh, *, known: float | None, longest: float | None) -> float:
+    """How many metres a world unit is.
+
+    Args:
+        known: what the capture told, if anything did.
+        longest: the longest side of the object's box in metres, if the user said; it wins.
+    """
+    if longest is not None:
+        return longest / float(np.ptp(mesh.vertices, axis=0).max())
+    return 1.0 if known is None else known
+
+
+def jpeg(pixels: U8) -> bytes:
+    """A colour picture (H, W, 3) as JPEG, without chroma subsampling."""
+    options = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
+    options += [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
+    return cv2.imencode(".jpg", pixels[..., ::-1], options)[1].tobytes()
+
+
+def png(pixels: U8) -> bytes:
+    """A picture (H, W) or (H, W, 3) as PNG."""
+    picture = pixels if pixels.ndim == 2 else pixels[..., ::-1]
+    return cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, 6])[1].tobytes()
+
+
+def _unit(vectors: F64) -> F32:
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.asarray(vectors / np.maximum(length, 1e-12), np.float32)
+
+
+def _eight_bits(pixels: NDArray[np.uint16]) -> U8:
+    return np.asarray((pixels.astype(np.uint32) + 128) // 257, np.uint8)
+
+
+def _is_open(vertices: F32, faces: NDArray[np.int32]) -> bool:
+    """Whether an edge has one face only; vertices that a seam repeats count as one."""
+    _, same = np.unique(vertices, axis=0, return_inverse=True)
+    welded = same.reshape(-1)[faces]
+    edges = np.sort(np.stack([welded, np.roll(welded, -1, axis=1)], -1).reshape(-1, 2), axis=1)
+    return bool((np.unique(edges, axis=0, return_counts=True)[1] == 1).any())

@@ -1,0 +1,105 @@
+"""USD: a binary stage (USDC) beside its textures, and all of it in one USDZ for AR."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from refdgs_pipe.errors import ExportError
+from refdgs_pipe.export.product import Product
+
+
+def write_usdc(path: Path, product: Product, *, textures: str, comment: str) -> None:
+    """Write the product as a USDC; `textures` is the folder of the pictures seen from there."""
+    from pxr import Kind, Sdf, Usd, UsdGeom, UsdShade, Vt
+
+    path.unlink(missing_ok=True)
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    stage.SetMetadata("comment", comment)
+    root = UsdGeom.Xform.Define(stage, "/object")
+    stage.SetDefaultPrim(root.GetPrim())
+    Usd.ModelAPI(root.GetPrim()).SetKind(Kind.Tokens.component)
+
+    mesh = UsdGeom.Mesh.Define(stage, "/object/mesh")
+    mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(product.vertices))
+    mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(product.faces), 3, np.int32)))
+    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(product.faces.reshape(-1)))
+    mesh.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(product.normals))
+    mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
+    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    mesh.CreateDoubleSidedAttr(product.is_open)
+    corners = np.stack([product.vertices.min(0), product.vertices.max(0)])
+    mesh.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(corners))
+    # USD has v upwards.
+    st = np.stack([product.uv[:, 0], 1 - product.uv[:, 1]], 1).astype(np.float32)
+    primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(
+        "st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex
+    )
+    primvar.Set(Vt.Vec2fArray.FromNumpy(st))
+    material = _material(stage, textures, has_metal=product.has_metal)
+    UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
+    stage.GetRootLayer().Save()
+
+
+def write_usdz(path: Path, usdc: Path, textures: list[Path]) -> None:
+    """Pack a USDC and its textures, which lie in folders beside it, as one USDZ.
+
+    Raises:
+        ExportError: one of them is missing.
+    """
+    from pxr import Sdf, Tf
+
+    path.unlink(missing_ok=True)
+    try:
+        with Sdf.ZipFileWriter.CreateNew(str(path)) as package:
+            for file in (usdc, *textures):  # the layer must be first
+                package.AddFile(str(file), file.relative_to(usdc.parent).as_posix())
+    except Tf.ErrorException as error:
+        path.unlink(missing_ok=True)
+        raise ExportError(f"{path.name}: cannot be packed ({str(error).strip()})") from error
+
+
+def _material(stage: Any, textures: str, *, has_metal: bool) -> Any:
+    from pxr import Sdf, UsdShade
+
+    types = Sdf.ValueTypeNames
+    material = UsdShade.Material.Define(stage, "/object/material")
+    reader = UsdShade.Shader.Define(stage, "/object/material/st")
+    reader.CreateIdAttr("UsdPrimvarReader_float2")
+    reader.CreateInput("varname", types.String).Set("st")
+    st = reader.CreateOutput("result", types.Float2)
+    surface = UsdShade.Shader.Define(stage, "/object/material/surface")
+    surface.CreateIdAttr("UsdPreviewSurface")
+    surface.CreateInput("useSpecularWorkflow", types.Int).Set(0)
+
+    def texture(name: str, file: str, space: str, output: str, kind: Any) -> Any:
+        shader = UsdShade.Shader.Define(stage, f"/object/material/{name}")
+        shader.CreateIdAttr("UsdUVTexture")
+        shader.CreateInput("file", types.Asset).Set(Sdf.AssetPath(f"{textures}/{file}"))
+        shader.CreateInput("sourceColorSpace", types.Token).Set(space)
+        for wrap in ("wrapS", "wrapT"):
+            shader.CreateInput(wrap, types.Token).Set("clamp")
+        shader.CreateInput("st", types.Float2).ConnectToSource(st)
+        if name == "normal":
+            shader.CreateInput("scale", types.Float4).Set((2, 2, 2, 1))
+            shader.CreateInput("bias", types.Float4).Set((-1, -1, -1, 0))
+        return shader.CreateOutput(output, kind)
+
+    color = texture("base_color", "base_color.jpg", "sRGB", "rgb", types.Float3)
+    surface.CreateInput("diffuseColor", types.Color3f).ConnectToSource(color)
+    # Old Quick Look wants grey pictures of their own, not channels of one.
+    rough = texture("roughness", "roughness.png", "raw", "r", types.Float)
+    surface.CreateInput("roughness", types.Float).ConnectToSource(rough)
+    metallic = surface.CreateInput("metallic", types.Float)
+    if has_metal:
+        metal = texture("metallic", "metallic.png", "raw", "r", types.Float)
+        metallic.ConnectToSource(metal)
+    else:
+        metallic.Set(0.0)
+    normal = texture("normal", "normal.png", "raw", "rgb", types.Float3)
+    surface.CreateInput("normal", types.Normal3f).ConnectToSource(normal)
+    output = surface.CreateOutput("surface", types.Token)
+    material.CreateSurfaceOutput().ConnectToSource(output)
+    return material
