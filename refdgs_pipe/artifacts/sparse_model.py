@@ -7,7 +7,6 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from refdgs_pipe.camera import Camera, Lens
 from refdgs_pipe.errors import CorruptError
@@ -128,6 +127,8 @@ def _lens_key(lens: Lens) -> tuple[float, ...]:
 
 def _to_colmap(model: SparseModel) -> ColmapModel:
     """The keypoints are where the points project to; the points keep their order as their ids."""
+    from scipy.spatial.transform import Rotation
+
     cameras: dict[tuple[Any, ...], int] = {}
     images = {}
     for number, camera in enumerate(model.cameras, start=1):
@@ -150,6 +151,8 @@ def _to_colmap(model: SparseModel) -> ColmapModel:
 
 
 def _from_colmap(colmap: ColmapModel, test: set[str]) -> tuple[Camera, ...]:
+    from scipy.spatial.transform import Rotation
+
     cameras = []
     for image in colmap.images.values():
         lens = colmap.cameras[image.camera_id]
