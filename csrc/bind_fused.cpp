@@ -4,6 +4,7 @@
 #include <nanobind/stl/vector.h>
 
 #include "ops/image_loss.h"
+#include "ops/sph_mip.h"
 
 namespace nb = nanobind;
 using namespace refdgs;
@@ -30,9 +31,50 @@ template <class S> void bind_image_loss(nb::module_& m, const char* name) {
   });
 }
 
+// base: level 0; coarser: levels 1 and up, one after the other.
+template <class S> MipMap<S> mip_map(const std::vector<int64_t>& size, Address base, Address coarser) {
+  MipMap<S> map{int(size[0]), int(size[1]), int(size[2]), {at<S>(base)}};
+  S* next = at<S>(coarser);
+  for (int level = 1; level < map.levels; ++level) {
+    map.level[level] = next;
+    next += int64_t(map.height >> level) * (map.width >> level) * kMipChannels;
+  }
+  return map;
+}
+
+// in: base, coarser, directions, roughness, coordinates; strides: of directions (2) and of roughness.
+template <class S>
+SphMipQuery<S> sph_mip_query(const std::vector<int64_t>& size, int64_t count, double min_level,
+                             const std::vector<Address>& in, const std::vector<int64_t>& strides) {
+  const MipMap<S> map = mip_map<S>(size, in[0], in[1]);
+  SphMipQuery<S> query{{map.height, map.width, map.levels, {}}, count, at<S>(in[2]), strides[0], strides[1],
+                       at<S>(in[3]), strides[2], S(min_level), at<S>(in[4])};
+  for (int level = 0; level < map.levels; ++level) query.map.level[level] = map.level[level];
+  return query;
+}
+
+template <class S> void bind_sph_mip(nb::module_& m, const char* name, const char* bwd_name) {
+  m.def(name, [](const std::vector<int64_t>& size, int64_t count, double min_level, const std::vector<Address>& in,
+                 const std::vector<int64_t>& strides, int threads, Address out) {
+    nb::gil_scoped_release release;
+    sph_mip(sph_mip_query<S>(size, count, min_level, in, strides), mip_map<S>(size, in[0], in[1]), threads,
+            at<S>(out));
+  });
+  // grads: base (or 0), coarser, directions, roughness.
+  m.def(bwd_name, [](const std::vector<int64_t>& size, int64_t count, double min_level,
+                     const std::vector<Address>& in, const std::vector<int64_t>& strides, int threads,
+                     Address v_out, const std::vector<Address>& grads) {
+    nb::gil_scoped_release release;
+    sph_mip_bwd(sph_mip_query<S>(size, count, min_level, in, strides), at<const S>(v_out),
+                {mip_map<S>(size, grads[0], grads[1]), at<S>(grads[2]), at<S>(grads[3])}, threads);
+  });
+}
+
 }  // namespace
 
 void bind_fused(nb::module_& m) {
   bind_image_loss<float>(m, "image_loss_float");
   bind_image_loss<double>(m, "image_loss_double");
+  bind_sph_mip<float>(m, "sph_mip_float", "sph_mip_bwd_float");
+  bind_sph_mip<double>(m, "sph_mip_double", "sph_mip_bwd_double");
 }

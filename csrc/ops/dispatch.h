@@ -2,6 +2,7 @@
 #pragma once
 #include "image_loss.h"
 #include "raster.h"
+#include "sph_mip.h"
 
 namespace refdgs {
 
@@ -11,6 +12,7 @@ struct Kernels {
   int lanes;
   RasterKernels<float> (*raster)(int channels, Extra extra);
   LossKernel<float> loss_band;
+  SphMipKernels<float> sph_mip;
 };
 
 // REFDGS_ISA=baseline|avx2|avx512 caps the choice, for tests.
@@ -19,5 +21,6 @@ const Kernels& kernels();
 // Double precision exists once, portable: it proves gradients, it is not fast.
 RasterKernels<double> raster_kernels_double(int channels, Extra extra);
 void loss_band_double(const LossFrame<double>& frame, int channel, int band, double* scratch, double* sums);
+SphMipKernels<double> sph_mip_kernels_double();
 
 }  // namespace refdgs

@@ -15,8 +15,9 @@ namespace {
 #include "simd.h"
 #include "image_loss.inl"
 #include "rasterize.inl"
+#include "sph_mip.inl"
 }  // namespace
 extern const Kernels kernels;
-const Kernels kernels = {"avx2", LANES, raster_kernels<float>, loss_band<float>};
+const Kernels kernels = {"avx2", LANES, raster_kernels<float>, loss_band<float>, sph_mip_kernels<float>()};
 }  // namespace avx2
 }  // namespace refdgs

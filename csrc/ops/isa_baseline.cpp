@@ -15,9 +15,10 @@ namespace {
 #include "simd.h"
 #include "image_loss.inl"
 #include "rasterize.inl"
+#include "sph_mip.inl"
 }  // namespace
 extern const Kernels kernels;
-const Kernels kernels = {"baseline", LANES, raster_kernels<float>, loss_band<float>};
+const Kernels kernels = {"baseline", LANES, raster_kernels<float>, loss_band<float>, sph_mip_kernels<float>()};
 }  // namespace baseline
 RasterKernels<double> raster_kernels_double(int channels, Extra extra) {
   return baseline::raster_kernels<double>(channels, extra);
@@ -25,4 +26,5 @@ RasterKernels<double> raster_kernels_double(int channels, Extra extra) {
 void loss_band_double(const LossFrame<double>& frame, int channel, int band, double* scratch, double* sums) {
   baseline::loss_band(frame, channel, band, scratch, sums);
 }
+SphMipKernels<double> sph_mip_kernels_double() { return baseline::sph_mip_kernels<double>(); }
 }  // namespace refdgs

@@ -29,6 +29,10 @@ template <class V> inline V min_of(V a, V b) { return a < b ? a : b; }
 template <class V> inline V max_of(V a, V b) { return a > b ? a : b; }
 template <class V> inline V reciprocal(V x) { return 1 / x; }
 template <class V> inline V abs_of(V x) { return x < 0 ? -x : x; }
+inline Simd<double>::vf sqrt_of(Simd<double>::vf x) {
+  for (int i = 0; i < LANES; ++i) x[i] = __builtin_sqrt(x[i]);
+  return x;
+}
 
 #if defined(__AVX512F__) && LANES == 16
 inline bool any_lane(vi32 m) { return _mm512_test_epi32_mask((__m512i)m, (__m512i)m) != 0; }
@@ -39,6 +43,7 @@ inline vf32 reciprocal(vf32 x) {
   return (vf32)_mm512_mul_ps(r, _mm512_fnmadd_ps((__m512)x, r, _mm512_set1_ps(2.f)));
 }
 inline vf32 abs_of(vf32 x) { return (vf32)_mm512_abs_ps((__m512)x); }
+inline vf32 sqrt_of(vf32 x) { return (vf32)_mm512_sqrt_ps((__m512)x); }
 #elif defined(__AVX2__) && LANES == 8
 inline bool any_lane(vi32 m) { return !_mm256_testz_si256((__m256i)m, (__m256i)m); }
 inline vf32 min_of(vf32 a, vf32 b) { return (vf32)_mm256_min_ps((__m256)a, (__m256)b); }
@@ -46,6 +51,12 @@ inline vf32 max_of(vf32 a, vf32 b) { return (vf32)_mm256_max_ps((__m256)a, (__m2
 inline vf32 reciprocal(vf32 x) {
   const __m256 r = _mm256_rcp_ps((__m256)x);
   return (vf32)_mm256_mul_ps(r, _mm256_fnmadd_ps((__m256)x, r, _mm256_set1_ps(2.f)));
+}
+inline vf32 sqrt_of(vf32 x) { return (vf32)_mm256_sqrt_ps((__m256)x); }
+#else
+inline vf32 sqrt_of(vf32 x) {
+  for (int i = 0; i < LANES; ++i) x[i] = __builtin_sqrtf(x[i]);
+  return x;
 }
 #endif
 

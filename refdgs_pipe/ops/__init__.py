@@ -2,6 +2,7 @@
 
 from refdgs_pipe.ops.image_loss import image_loss, ssim, ssim_map
 from refdgs_pipe.ops.rasterize import Maps, Pinhole, ScreenStatistics, Surfels, rasterize
+from refdgs_pipe.ops.sph_mip import mip_levels, sph_mip
 
 __all__ = [
     "Maps",
@@ -9,7 +10,9 @@ __all__ = [
     "ScreenStatistics",
     "Surfels",
     "image_loss",
+    "mip_levels",
     "rasterize",
+    "sph_mip",
     "ssim",
     "ssim_map",
 ]

@@ -1,0 +1,121 @@
+"""The Sph-Mip encoding: features of a distant environment by direction and roughness."""
+
+from typing import Any
+
+import _refdgs_native as native
+import torch
+from torch import Tensor
+
+from refdgs_pipe.errors import ShapeError
+from refdgs_pipe.ops.checks import check_alike
+
+CHANNELS = 4
+
+
+def mip_levels(height: int, width: int) -> int:
+    """Levels of a map, the finest included: 9 for 512 x 1024; the coarsest is 2 texels high."""
+    return min(height, width).bit_length() - 1
+
+
+def sph_mip(
+    base: Tensor,
+    directions: Tensor,
+    roughness: Tensor,
+    *,
+    min_level: float = 0.0,
+    threads: int | None = None,
+) -> Tensor:
+    """Trilinear lookups in a lat-long map and its box-averaged mips (Ref-GS, Ref-DGS).
+
+    The pole is +z: v = angle from +z / pi down the rows, u = azimuth from +x towards +y / 2 pi
+    along the columns, texel centres at (i + 0.5) / size. The azimuth wraps; past a pole lies the
+    same row on the other side, so nothing is clamped and no gradient dies. The level is
+    `levels * roughness` within min_level..levels - 1. Gradients go to all three tensors; the
+    azimuth's is damped within 0.06 degrees of the poles, where it has no bound. The mips are made
+    anew by every call: ask for all directions in one.
+
+    Args:
+        base: (H, W, 4) the map; H and W powers of two, at least 2.
+        directions: (P, 3), any length but zero.
+        roughness: (P,) in 0..1.
+        min_level: the finest level that is used.
+        threads: default torch's; the result does not depend on it.
+
+    Returns:
+        (P, 4) features.
+
+    Raises:
+        ShapeError: sizes or types disagree, H or W is no power of two, or there is no such level.
+    """
+    _check(base, directions, roughness, min_level)
+    count = threads or torch.get_num_threads()
+    features: Tensor = _SphMip.apply(  # type: ignore[no-untyped-call]
+        base, directions, roughness, min_level, count
+    )
+    return features
+
+
+class _SphMip(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: Any,
+        base: Tensor,
+        directions: Tensor,
+        roughness: Tensor,
+        min_level: float,
+        threads: int,
+    ) -> Tensor:
+        base = base.contiguous()
+        height, width = base.shape[:2]
+        size = [height, width, mip_levels(height, width)]
+        coarser = sum((height >> level) * (width >> level) for level in range(1, size[2]))
+        mips = base.new_empty(coarser, CHANNELS)
+        coordinates = base.new_empty(3, len(directions))
+        features = base.new_empty(len(directions), CHANNELS)
+        tensors = (base, mips, directions, roughness, coordinates)
+        ctx.call = (size, len(directions), min_level)
+        run = native.sph_mip_float if base.dtype == torch.float32 else native.sph_mip_double
+        run(*ctx.call, *_addresses(*tensors), threads, features.data_ptr())
+        ctx.save_for_backward(*tensors)
+        ctx.threads = threads
+        return features
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
+        tensors = ctx.saved_tensors
+        base, mips, directions, roughness, _ = tensors
+        v_base = torch.empty_like(base) if ctx.needs_input_grad[0] else None
+        v_mips = torch.empty_like(mips)
+        v_directions = directions.new_empty(directions.shape)
+        v_roughness = roughness.new_empty(roughness.shape)
+        v_features = grads[0].contiguous()
+        single = base.dtype == torch.float32
+        run = native.sph_mip_bwd_float if single else native.sph_mip_bwd_double
+        outputs = [0 if v_base is None else v_base.data_ptr()]
+        outputs += [t.data_ptr() for t in (v_mips, v_directions, v_roughness)]
+        run(*ctx.call, *_addresses(*tensors), ctx.threads, v_features.data_ptr(), outputs)
+        return v_base, v_directions, v_roughness, None, None
+
+
+def _addresses(
+    base: Tensor, mips: Tensor, directions: Tensor, roughness: Tensor, coordinates: Tensor
+) -> tuple[list[int], list[int]]:
+    tensors = (base, mips, directions, roughness, coordinates)
+    return [t.data_ptr() for t in tensors], [*directions.stride(), *roughness.stride()]
+
+
+def _check(base: Tensor, directions: Tensor, roughness: Tensor, min_level: float) -> None:
+    shape = tuple(base.shape)
+    if len(shape) != 3 or shape[2] != CHANNELS or any(n < 2 or n & (n - 1) for n in shape[:2]):
+        raise ShapeError(f"base is {shape}: give (H, W, {CHANNELS}), H and W powers of two from 2")
+    if directions.ndim != 2 or directions.shape[1] != 3:
+        raise ShapeError(f"directions is {tuple(directions.shape)}: give (P, 3)")
+    if roughness.shape != directions.shape[:1]:
+        raise ShapeError(
+            f"roughness is {tuple(roughness.shape)} but directions has P = {len(directions)}: "
+            "give (P,)"
+        )
+    check_alike(("base", base), ("directions", directions), ("roughness", roughness))
+    last = mip_levels(*shape[:2]) - 1
+    if not 0 <= min_level <= last:
+        raise ShapeError(f"min_level is {min_level}: a map of {shape} has levels 0 to {last}")
