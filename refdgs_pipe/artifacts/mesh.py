@@ -7,6 +7,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from refdgs_pipe.errors import InputError
+from refdgs_pipe.files.obj import read_obj
 from refdgs_pipe.files.ply import read_mesh, write_mesh
 
 
@@ -32,6 +34,20 @@ class RawMesh(TriangleMesh):
 
 class Mesh(TriangleMesh):
     """One clean, manifold, consistently oriented surface within the face budget."""
+
+    @classmethod
+    def adopt(cls, path: Path) -> Self:
+        """A mesh that the user edited, in the frame of the one it replaces.
+
+        Raises:
+            InputError: not a PLY or OBJ file.
+            CorruptError: it holds no triangles, or is broken.
+        """
+        readers = {".ply": read_mesh, ".obj": read_obj}
+        if path.suffix.lower() not in readers:
+            raise InputError(f"{path.name}: give the mesh as .ply or .obj")
+        data = readers[path.suffix.lower()](path)
+        return cls(data.vertices, data.faces)
 
 
 @dataclass(frozen=True)
