@@ -1,5 +1,6 @@
 """Read the triangles of a Wavefront OBJ file."""
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +26,7 @@ def read_obj(path: Path) -> MeshData:
             elif kind == "f":
                 corners = [int(value.partition("/")[0]) for value in values]
                 ids = [i - 1 if i > 0 else len(vertices) + i for i in corners]
-                faces += [(ids[0], b, c) for b, c in zip(ids[1:], ids[2:], strict=False)]
+                faces += [(ids[0], b, c) for b, c in pairwise(ids[1:])]
         except (ValueError, IndexError):
             raise CorruptError(f"{path.name}: line {number} is not understood: {line}") from None
     positions = np.array(vertices, np.float32).reshape(-1, 3)
@@ -34,4 +35,4 @@ def read_obj(path: Path) -> MeshData:
         raise CorruptError(f"{path.name}: holds no faces, or vertices that are not finite")
     if triangles.min() < 0 or triangles.max() >= len(positions):
         raise CorruptError(f"{path.name}: a face names a vertex that is not there")
-    return MeshData(positions, triangles.astype(np.int32))
+    return MeshData(positions, triangles.astype(np.int32), None, None)

@@ -1,0 +1,106 @@
+"""Laws of recipes: what they may say, what wins, and how mistakes are answered."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from fake_stages import STAGES, ShoutParams
+
+from refdgs_pipe import recipe
+from refdgs_pipe.errors import InputError
+from refdgs_pipe.params import Params
+from refdgs_pipe.pipeline.catalog import load_stages
+
+MODELS = {stage.name: stage.params for stage in STAGES}
+
+
+def write(folder: Path, name: str, text: str) -> str:
+    path = folder / f"{name}.toml"
+    path.write_text(text)
+    return str(path)
+
+
+def resolve(name: str, *assignments: str) -> dict[str, Params]:
+    return recipe.resolve(recipe.load(name), assignments, MODELS)
+
+
+def shout(settings: dict[str, Params]) -> ShoutParams:
+    found = settings["shout"]
+    assert isinstance(found, ShoutParams)
+    return found
+
+
+def test_the_command_line_wins_over_the_recipe_and_that_over_the_default(tmp_path: Path) -> None:
+    name = write(tmp_path, "mine", "[shout]\nmarks = 4\nmood = 'glad'\n")
+    assert shout(resolve(name)) == ShoutParams(marks=4, mood="glad")
+    assert shout(resolve(name, "shout.marks=5")) == ShoutParams(marks=5, mood="glad")
+    assert shout(resolve(name, "shout.marks=5", "shout.marks=6")).marks == 6
+
+
+def test_a_recipe_builds_on_another_beside_it_or_on_a_known_one(tmp_path: Path) -> None:
+    write(tmp_path, "base", "[shout]\nmarks = 4\nmood = 'glad'\n")
+    name = write(tmp_path, "mine", "extends = 'base.toml'\n[shout]\nmarks = 7\n")
+    assert shout(resolve(name)) == ShoutParams(marks=7, mood="glad")
+    assert shout(resolve(write(tmp_path, "other", "extends = 'glossy'\n"))) == ShoutParams()
+
+
+@pytest.mark.parametrize(
+    ("text", "value"), [("2", 2), (" 3 ", 3), ("'4'", 4)], ids=["number", "spaces", "quoted"]
+)
+def test_values_on_the_command_line_are_read_kindly(text: str, value: Any) -> None:
+    assert shout(resolve("glossy", f"shout.marks={text}")).marks == value
+
+
+def test_words_need_no_quotes_on_the_command_line() -> None:
+    assert shout(resolve("glossy", "shout.mood=very glad")).mood == "very glad"
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("marks = 3", "marks stands outside a table. Put it under a [stage]"),
+        ("[shout\n", "not TOML"),
+        ("extends = 3", "extends = 3: expected the name of a recipe"),
+        ("extends = 'mine.toml'", "extends itself"),
+        ("extends = 'glosy'", "no recipe is called 'glosy'. Did you mean glossy?"),
+        ("[shuot]\nmarks = 1", "no stage is called 'shuot'. Did you mean shout?"),
+        ("[shout]\nmraks = 1", "shout has no setting 'mraks'. Did you mean shout.marks?"),
+        ("[shout]\nmarks = 'a lot'", 'shout.marks = "a lot": expected a valid integer'),
+        ("[shout]\nmarks = 10", "shout.marks = 10: expected less than or equal to 9"),
+    ],
+)
+def test_mistakes_are_named_with_their_place(tmp_path: Path, text: str, words: str) -> None:
+    name = write(tmp_path, "mine", text)
+    with pytest.raises(InputError) as caught:
+        resolve(name)
+    assert words in str(caught.value)
+    if "glosy" not in words:
+        assert name in str(caught.value)
+
+
+def test_a_wrong_value_is_answered_with_the_meaning_limits_and_default() -> None:
+    with pytest.raises(InputError) as caught:
+        resolve("glossy", "shout.marks=10")
+    assert str(caught.value) == (
+        "--set shout.marks=10: shout.marks = 10: expected less than or equal to 9. "
+        "marks: exclamation marks, a count (at least 0, at most 9, default 1)"
+    )
+
+
+@pytest.mark.parametrize("name", recipe.names())
+def test_every_recipe_says_when_to_use_it_and_fits_the_stages(name: str) -> None:
+    found = recipe.load(name)
+    assert len(found.about) > 30
+    models = {stage.name: stage.params for stage in load_stages()}
+    settings = recipe.resolve(found, [], models)
+    defaults = {stage: model() for stage, model in models.items()}
+    for stage, table in found.tables.items():
+        for key in table:
+            differs = getattr(settings[stage], key) != getattr(defaults[stage], key)
+            assert differs, f"{stage}.{key} in {name} is the default anyway"
+
+
+def test_a_resolved_recipe_can_be_read_back(tmp_path: Path) -> None:
+    settings = resolve("glossy", 'shout.mood="with "', "shout.marks=3")
+    name = write(tmp_path, "whole", recipe.describe(settings))
+    assert resolve(name) == settings
