@@ -1,5 +1,7 @@
 """USD: a binary stage (USDC) beside its textures, and all of it in one USDZ for AR."""
 
+import struct
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -46,19 +48,26 @@ def write_usdc(path: Path, product: Product, *, textures: str, comment: str) -> 
 def write_usdz(path: Path, usdc: Path, textures: list[Path]) -> None:
     """Pack a USDC and its textures, which lie in folders beside it, as one USDZ.
 
+    USD's own packer stamps the time into the file; this one gives equal bytes for equal content.
+
     Raises:
         ExportError: one of them is missing.
     """
-    from pxr import Sdf, Tf
-
-    path.unlink(missing_ok=True)
     try:
-        with Sdf.ZipFileWriter.CreateNew(str(path)) as package:
+        with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED) as package:
             for file in (usdc, *textures):  # the layer must be first
-                package.AddFile(str(file), file.relative_to(usdc.parent).as_posix())
-    except Tf.ErrorException as error:
+                entry = zipfile.ZipInfo(file.relative_to(usdc.parent).as_posix())
+                entry.extra = _padding(package.fp.tell() + 30 + len(entry.filename))
+                package.writestr(entry, file.read_bytes())
+    except FileNotFoundError as error:
         path.unlink(missing_ok=True)
-        raise ExportError(f"{path.name}: cannot be packed ({str(error).strip()})") from error
+        raise ExportError(f"{path.name}: cannot be packed; {error.filename} is missing") from error
+
+
+def _padding(offset: int) -> bytes:
+    """A zip extra field after which the data starts at a multiple of 64 bytes."""
+    size = -(offset + 4) % 64
+    return struct.pack("<HH", 0x1986, size) + b"\0" * size
 
 
 def _material(stage: Any, textures: str, *, has_metal: bool) -> Any:

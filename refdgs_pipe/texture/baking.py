@@ -138,6 +138,8 @@ def _bilinear(values: F32, pixels: F32) -> F32:
     import cv2
 
     count = len(pixels)
+    if not count:
+        return np.empty((0, values.shape[-1]), np.float32)
     padded = np.zeros((-(-count // _ROW) * _ROW, 2), np.float32)
     padded[:count] = pixels - 0.5
     x, y = (np.ascontiguousarray(padded[:, i].reshape(-1, _ROW)) for i in range(2))

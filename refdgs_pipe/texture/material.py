@@ -16,7 +16,8 @@ from refdgs_pipe.texture.texels import Texels, rasterize
 F32 = NDArray[np.float32]
 
 # The mean light that falls on the object, in exposed units, is not known. Photos are exposed so
-# that it is rarely darker than this; a brighter reflection than any mirror could give raises it.
+# that it is rarely darker than this; where the brighter reflections average more than a mirror
+# could give under it, it must be brighter.
 _LIGHT = 0.3
 _MIRROR = 0.95
 # Reflectances between these two turn from plastic to metal (plastics: 0.04, iron: 0.5).
@@ -37,8 +38,8 @@ def reflectance(surface: Surface) -> Reflectance:
     A metal has no diffuse colour: rendered as a plastic it would be black. Its base colour is
     its reflectance: the mean reflected radiance over the mean light.
     """
-    seen = surface.specular[surface.seen]
-    light = max(_LIGHT, float(np.quantile(seen.max(1), 0.99)) / _MIRROR)
+    seen = surface.specular[surface.seen].astype(np.float64)
+    light = max(_LIGHT, float((seen**2).sum() / max(seen.sum(), 1e-9)) / _MIRROR)
     mirror = np.clip(surface.specular / light, 0, _MIRROR)
     step = np.clip((mirror.mean(1) - _PLASTIC) / (_METAL - _PLASTIC), 0, 1)
     metallic = step * step * (3 - 2 * step)
