@@ -17,6 +17,11 @@ def isa() -> str:
     return str(native.isa())
 
 
+def keep_freed_memory() -> None:
+    """Tell the allocator to reuse what is freed instead of returning it; for long training runs."""
+    native.keep_freed_memory()
+
+
 def draw(
     surfels: Surfels,
     features: Tensor,

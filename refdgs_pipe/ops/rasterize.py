@@ -52,7 +52,9 @@ class Pinhole:
     near: float = 1e-3
 
     @classmethod
-    def of(cls, camera: Camera, near: float = 1e-3, *, dtype: torch.dtype = torch.float32) -> "Pinhole":
+    def of(
+        cls, camera: Camera, near: float = 1e-3, *, dtype: torch.dtype = torch.float32
+    ) -> "Pinhole":
         K = camera.K
         if abs(K[0, 1]) > 1e-6 * K[0, 0]:
             raise ShapeError(f"camera {camera.name} has skew {K[0, 1]}: pixels must be rectangular")
@@ -152,7 +154,9 @@ def _check(surfels: Surfels, features: Tensor, camera: Pinhole, normals: bool) -
     }
     for name, (tensor, fits, shape) in wanted.items():
         if not fits(tuple(tensor.shape)):
-            raise ShapeError(f"{name} is {tuple(tensor.shape)}, but means has N = {n}: give {shape}")
+            raise ShapeError(
+                f"{name} is {tuple(tensor.shape)}, but means has N = {n}: give {shape}"
+            )
         if tensor.dtype != surfels.means.dtype or tensor.device != surfels.means.device:
             raise ShapeError(
                 f"{name} is {tensor.dtype} on {tensor.device}, means is {surfels.means.dtype} on "

@@ -15,9 +15,9 @@ MAPS = ("features", "alpha", "normal", "depth", "median_depth", "distortion")
 
 def camera(width: int = 37, height: int = 29, dtype: torch.dtype = torch.float64) -> Pinhole:
     pose = torch.eye(4, dtype=dtype)
-    pose[:3, :3] = reference.rotation_matrices(
-        torch.tensor([[0.9, 0.2, -0.3, 0.1]], dtype=dtype)
-    )[0]
+    pose[:3, :3] = reference.rotation_matrices(torch.tensor([[0.9, 0.2, -0.3, 0.1]], dtype=dtype))[
+        0
+    ]
     pose[:3, 3] = torch.tensor([0.1, -0.2, 3.0], dtype=dtype)
     return Pinhole(pose, 41.0, 39.0, 18.3, 14.9, width, height, near=0.2)
 
@@ -67,7 +67,9 @@ def leaves(surfels: Surfels, features: Tensor, view: Pinhole) -> tuple[Surfels, 
     return new, features.clone().requires_grad_(), Pinhole(pose, *list(vars(view).values())[1:])
 
 
-def gradients(draw: Callable[..., Maps], surfels: Surfels, features: Tensor, view: Pinhole) -> dict[str, Tensor]:
+def gradients(
+    draw: Callable[..., Maps], surfels: Surfels, features: Tensor, view: Pinhole
+) -> dict[str, Tensor]:
     s, f, v = leaves(surfels, features, view)
     loss_of(draw(s, f, v, extra="distortion", normals=True)).backward()
     named = {name: getattr(s, name).grad for name in ("means", "quats", "scales", "opacities")}
@@ -93,7 +95,9 @@ def test_double_gradients_equal_the_reference(
     ours = gradients(rasterize, surfels, features, view)
     theirs = gradients(reference.rasterize, surfels, features, view)
     for name, value in theirs.items():
-        torch.testing.assert_close(ours[name], value, rtol=1e-7, atol=1e-7, msg=lambda m, n=name: f"{n}: {m}")
+        torch.testing.assert_close(
+            ours[name], value, rtol=1e-7, atol=1e-7, msg=lambda m, n=name: f"{n}: {m}"
+        )
 
 
 def test_every_gradient_equals_finite_differences() -> None:
@@ -113,7 +117,13 @@ def test_every_gradient_equals_finite_differences() -> None:
     step = 1e-6
     wrong, total = 0, 0
     for name, gradient in exact.items():
-        base = view.cam_from_world if name == "pose" else features if name == "features" else getattr(surfels, name)
+        base = (
+            view.cam_from_world
+            if name == "pose"
+            else features
+            if name == "features"
+            else getattr(surfels, name)
+        )
         for index in range(gradient.numel()):
             up, down = base.clone(), base.clone()
             up.view(-1)[index] += step
@@ -176,7 +186,9 @@ def test_non_finite_surfels_are_not_drawn() -> None:
     broken = surfels.means.clone()
     broken[3] = float("nan")
     broken[4] = float("inf")
-    maps = rasterize(Surfels(broken, surfels.quats, surfels.scales, surfels.opacities), features, camera())
+    maps = rasterize(
+        Surfels(broken, surfels.quats, surfels.scales, surfels.opacities), features, camera()
+    )
     assert bool(torch.isfinite(maps.features).all())
     assert float(maps.statistics.radii[3]) == 0
 
@@ -184,7 +196,9 @@ def test_non_finite_surfels_are_not_drawn() -> None:
 def test_screen_statistics_measure_the_pull_on_the_projected_centre() -> None:
     surfels, features = scene(1)
     view = camera()
-    s, f, v = leaves(Surfels(surfels.means * 0, surfels.quats, surfels.scales, surfels.opacities), features, view)
+    s, f, v = leaves(
+        Surfels(surfels.means * 0, surfels.quats, surfels.scales, surfels.opacities), features, view
+    )
     maps = rasterize(s, f, v)
     maps.features[:, : view.width // 2].sum().backward()
     plain, absolute = maps.statistics.gradients[0]

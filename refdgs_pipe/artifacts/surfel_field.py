@@ -1,0 +1,164 @@
+"""A trained Ref-DGS field on disk: safetensors for us, a 2DGS PLY for viewers is made at export."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from refdgs_pipe.errors import CorruptError
+
+F32 = NDArray[np.float32]
+_SHAPES = {"means": 3, "quats": 4, "scales": 2, "opacities": 0}
+
+
+@dataclass(frozen=True)
+class SurfelSet:
+    """One set of 2-D Gaussians, world units.
+
+    Args:
+        means: (N, 3).
+        quats: (N, 4) unit, w x y z.
+        scales: (N, 2) standard deviations.
+        opacities: (N,) in (0, 1).
+        values: what each carries, name -> (N, C): diffuse (linear) and roughness; features; or
+            sh, (N, 3 K) spherical harmonics of the sRGB colour, coefficient-major.
+    """
+
+    means: F32
+    quats: F32
+    scales: F32
+    opacities: F32
+    values: dict[str, F32]
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+
+@dataclass(frozen=True)
+class ShaderModel:
+    """How features become specular radiance.
+
+    Args:
+        reflection, local, mixing, physical: the switches it was trained with.
+        environment: (H, W, 4) Sph-Mip base map.
+        weights, biases: of the MLP's layers, each (out, in) and (out,).
+    """
+
+    reflection: bool
+    local: str
+    mixing: str
+    physical: bool
+    environment: F32
+    weights: tuple[F32, ...]
+    biases: tuple[F32, ...]
+
+
+@dataclass(frozen=True)
+class SurfelField:
+    """Everything needed to draw the scene.
+
+    Args:
+        geometry: carries diffuse and roughness (and features when local is "shared").
+        local: carries features; empty unless local is "dual".
+        background: carries sh; empty when the photos' background was removed.
+        near: depth before which nothing is drawn, world units.
+    """
+
+    geometry: SurfelSet
+    local: SurfelSet
+    background: SurfelSet
+    shader: ShaderModel
+    near: float
+
+    # Shortcuts for the splat export.
+    @property
+    def means(self) -> F32:
+        return self.geometry.means
+
+    @property
+    def quats(self) -> F32:
+        return self.geometry.quats
+
+    @property
+    def scales(self) -> F32:
+        return self.geometry.scales
+
+    @property
+    def opacities(self) -> F32:
+        return self.geometry.opacities
+
+    @property
+    def diffuse(self) -> F32:
+        return self.geometry.values["diffuse"]
+
+    def save(self, folder: Path) -> None:
+        from safetensors.numpy import save_file
+
+        arrays: dict[str, F32] = {"environment": self.shader.environment}
+        for name, part in self._sets().items():
+            for field in _SHAPES:
+                arrays[f"{name}.{field}"] = getattr(part, field)
+            arrays |= {f"{name}.values.{k}": v for k, v in part.values.items()}
+        for i, (w, b) in enumerate(zip(self.shader.weights, self.shader.biases, strict=True)):
+            arrays[f"shader.{i}.weight"], arrays[f"shader.{i}.bias"] = w, b
+        contiguous = {k: np.ascontiguousarray(v, np.float32) for k, v in arrays.items()}
+        save_file(contiguous, folder / "field.safetensors")
+        record = {
+            "reflection": self.shader.reflection,
+            "local": self.shader.local,
+            "mixing": self.shader.mixing,
+            "physical": self.shader.physical,
+            "near": self.near,
+            "layers": len(self.shader.weights),
+        }
+        (folder / "field.json").write_text(json.dumps(record, indent=2), "utf-8")
+
+    @classmethod
+    def load(cls, folder: Path) -> Self:
+        """Read a field.
+
+        Raises:
+            CorruptError: files are missing, damaged or do not fit together.
+        """
+        from safetensors import SafetensorError
+        from safetensors.numpy import load_file
+
+        try:
+            arrays = load_file(folder / "field.safetensors")
+            record = json.loads((folder / "field.json").read_text("utf-8"))
+            layers = range(record["layers"])
+            shader = ShaderModel(
+                record["reflection"],
+                record["local"],
+                record["mixing"],
+                record["physical"],
+                arrays["environment"],
+                tuple(arrays[f"shader.{i}.weight"] for i in layers),
+                tuple(arrays[f"shader.{i}.bias"] for i in layers),
+            )
+            sets = [_set(arrays, name) for name in ("geometry", "local", "background")]
+            return cls(*sets, shader, float(record["near"]))
+        except (OSError, KeyError, ValueError, SafetensorError) as error:
+            raise CorruptError(
+                f"{folder}: not a readable surfel field ({error}): run the train stage again"
+            ) from error
+
+    def _sets(self) -> dict[str, SurfelSet]:
+        return {"geometry": self.geometry, "local": self.local, "background": self.background}
+
+
+def _set(arrays: dict[str, F32], name: str) -> SurfelSet:
+    parts = {field: arrays[f"{name}.{field}"] for field in _SHAPES}
+    n = len(parts["means"])
+    prefix = f"{name}.values."
+    values = {k[len(prefix) :]: v for k, v in arrays.items() if k.startswith(prefix)}
+    for field, width in _SHAPES.items():
+        if parts[field].shape != ((n, width) if width else (n,)):
+            raise ValueError(f"{name}.{field} is {parts[field].shape} for {n} surfels")
+    for field, array in [*parts.items(), *values.items()]:
+        if len(array) != n or not np.isfinite(array).all():
+            raise ValueError(f"{name}.{field} has the wrong length or is not finite")
+    return SurfelSet(**parts, values=values)

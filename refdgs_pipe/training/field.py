@@ -1,0 +1,264 @@
+"""The field being trained: its sets, its shader, how they step, grow and are saved."""
+
+import math
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from refdgs_pipe.artifacts.sparse_model import SparseModel
+from refdgs_pipe.artifacts.surfel_field import ShaderModel, SurfelField, SurfelSet
+from refdgs_pipe.ops import Pinhole
+from refdgs_pipe.training import initial
+from refdgs_pipe.training.photos import TrainingPhoto
+from refdgs_pipe.training.settings import TrainParams
+from refdgs_pipe.training.shading import Picture, Scene, sh_color
+from refdgs_pipe.training.surfels import (
+    DensityRules,
+    Shader,
+    TrainableSet,
+    densify,
+    diffuse_of,
+    step_all,
+)
+
+START_OPACITY = 0.1
+HULL_OPACITY = 0.5
+BALL_MARGIN = 1.1  # object surfels may stray this far, in ball radii
+LARGEST = 0.1  # surfels larger than this share of the extent go
+
+
+class TrainableField:
+    """Geometry, local reflection and background surfels, and the shader."""
+
+    def __init__(
+        self,
+        params: TrainParams,
+        model: SparseModel,
+        photos: list[TrainingPhoto],
+        *,
+        masked: bool,
+        near: float,
+    ) -> None:
+        self.params, self.ball, self.near = params, model.ball, near
+        cameras = [photo.camera for photo in photos]
+        centers = np.stack([camera.center for camera in cameras])
+        self.extent = 1.1 * float(np.linalg.norm(centers - centers.mean(0), axis=1).max())
+        if len(cameras) == 1 or self.extent <= 0:
+            self.extent = float(np.linalg.norm(centers[0] - model.ball.center))
+        rng = np.random.default_rng(params.seed)
+        self.rates = self._rates()
+        self.geometry = TrainableSet(self._geometry(model, photos, masked, rng), self.rates)
+        self.local: TrainableSet | None = None
+        self.shader: Shader | None = None
+        self.shader_optimizer: list[torch.optim.Optimizer] = []
+        if params.reflection:
+            self.shader = Shader(
+                params.environment_height, params.local, params.mixing, params.physical
+            )
+            groups = [
+                {"params": [self.shader.environment], "lr": params.rate_environment},
+                {"params": list(self.shader.layers.parameters()), "lr": params.rate_shader},
+            ]
+            self.shader_optimizer = [torch.optim.Adam(groups, eps=1e-15, fused=True)]
+            if params.local == "dual":
+                cloud = initial.ball_cloud(model.ball, params.local_surfels, rng)
+                raw = initial.raw_discs(cloud, START_OPACITY)
+                raw["features"] = torch.zeros(params.local_surfels, 4)
+                self.local = TrainableSet(raw, self.rates)
+        self.background = None if masked else self._background(model, photos, rng)
+
+    def _rates(self) -> dict[str, float]:
+        p = self.params
+        return {
+            "means": p.rate_means * self.extent,
+            "quats": p.rate_quats,
+            "log_scales": p.rate_scales,
+            "raw_opacities": p.rate_opacities,
+            "raw_diffuse": p.rate_diffuse,
+            "raw_roughness": p.rate_roughness,
+            "features": p.rate_features,
+            "sh": 0.002,
+        }
+
+    def _geometry(
+        self,
+        model: SparseModel,
+        photos: list[TrainingPhoto],
+        masked: bool,
+        rng: np.random.Generator,
+    ) -> dict[str, Tensor]:
+        p, cloud, opacity = self.params, None, START_OPACITY
+        if masked and p.hull and all(photo.mask is not None for photo in photos):
+            masks = [
+                photo.mask.numpy().astype(np.float32) / 255
+                for photo in photos
+                if photo.mask is not None
+            ]
+            cameras = [photo.camera for photo in photos]
+            cloud = initial.hull_cloud(model.ball, cameras, masks, p.surfels, rng)
+            opacity = HULL_OPACITY
+        if cloud is None:
+            cloud, opacity = initial.ball_cloud(model.ball, p.surfels, rng), START_OPACITY
+            inside = self._inside(torch.from_numpy(model.points)).numpy()
+            if inside.any():
+                points, colors = model.points[inside], model.point_colors[inside]
+                sparse = initial.sparse_cloud(points, colors, [ph.camera for ph in photos], rng)
+                cloud = initial.joined(cloud, sparse)
+        raw = initial.raw_discs(cloud, opacity)
+        n = len(cloud.points)
+        bias = p.diffuse_bias if p.reflection else 0.0
+        raw["raw_diffuse"] = torch.full((n, 3), -bias)
+        raw["raw_roughness"] = torch.zeros(n)
+        if p.reflection and p.local == "shared":
+            raw["features"] = torch.zeros(n, 4)
+        return raw
+
+    def _background(
+        self, model: SparseModel, photos: list[TrainingPhoto], rng: np.random.Generator
+    ) -> TrainableSet:
+        cameras = [photo.camera for photo in photos]
+        mean = torch.stack([photo.rgb.float().mean((1, 2)) for photo in photos]).mean(0) / 255
+        cloud = initial.sky_cloud(model.ball, cameras, mean.double().numpy())
+        outside = ~self._inside(torch.from_numpy(model.points), margin=1.0).numpy()
+        if outside.any():
+            points, colors = model.points[outside], model.point_colors[outside]
+            cloud = initial.joined(cloud, initial.sparse_cloud(points, colors, cameras, rng))
+        raw = initial.raw_discs(cloud, START_OPACITY)
+        raw["raw_opacities"][: initial.SKY_SURFELS] = math.log(0.9 / 0.1)
+        sh = torch.zeros(len(cloud.points), 12)
+        sh[:, :3] = (torch.tensor(cloud.colors, dtype=torch.float32) - 0.5) / 0.28209479177387814
+        raw["sh"] = sh
+        return TrainableSet(raw, self.rates)
+
+    def _inside(self, points: Tensor, margin: float = BALL_MARGIN) -> Tensor:
+        center = torch.tensor(self.ball.center, dtype=points.dtype)
+        return (points - center).norm(dim=-1) <= margin * self.ball.radius
+
+    def set_rates(self, fraction: float) -> None:
+        """Centres slow down log-linearly to 1/100 over the run."""
+        for group in self._sets():
+            group.set_rate("means", self.rates["means"] * 0.01**fraction)
+
+    def scene(self, camera: Pinhole, fraction: float) -> Scene:
+        """What is drawn now: activated, and the background's colour towards this camera."""
+        p, raw = self.params, self.geometry.raw
+        with_local = self.local is not None and fraction >= p.local_from
+        background_rgb = None
+        if self.background is not None:
+            pose = camera.cam_from_world
+            center = -pose[:3, :3].T @ pose[:3, 3]
+            towards = self.background.raw["means"].detach() - center
+            towards = towards / towards.norm(dim=-1, keepdim=True)
+            background_rgb = sh_color(self.background.raw["sh"], towards)
+        return Scene(
+            geometry=self.geometry.surfels(),
+            diffuse=diffuse_of(raw["raw_diffuse"]),
+            roughness=torch.sigmoid(raw["raw_roughness"]),
+            shared_features=torch.tanh(raw["features"]) if "features" in raw else None,
+            local=self.local.surfels() if self.local is not None and with_local else None,
+            local_features=torch.tanh(self.local.raw["features"])
+            if self.local is not None and with_local
+            else None,
+            background=None if self.background is None else self.background.surfels(),
+            background_rgb=background_rgb,
+            shader=self.shader,
+        )
+
+    def observe(self, picture: Picture, width: int) -> None:
+        """Collect densification statistics after the backward pass, per half image width."""
+        statistics, n = picture.geometry_statistics, len(self.geometry)
+        pull = statistics.gradients[:, 0] * (width / 2)
+        self.geometry.observe(pull[:n], statistics.radii[:n])
+        if self.background is not None:
+            self.background.observe(pull[n:], statistics.radii[n:])
+        if self.local is not None and picture.local_statistics is not None:
+            local = picture.local_statistics
+            self.local.observe(local.gradients[:, 0] * (width / 2), local.radii)
+
+    def step(self) -> None:
+        """One update of everything."""
+        step_all(self._sets(), self.shader_optimizer)
+
+    def adapt(self, iteration: int, rng: torch.Generator) -> None:
+        """Densify and prune when it is time."""
+        p = self.params
+        begin, end = p.densify_from * p.iterations, p.densify_until * p.iterations
+        if not begin < iteration < end or iteration % p.densify_every:
+            return
+        size = p.split_size * self.extent
+        rules = DensityRules(
+            p.densify_gradient, size, LARGEST * self.extent, p.prune_opacity, p.max_surfels
+        )
+        densify(self.geometry, rules, self._inside(self.geometry.raw["means"].detach()), rng)
+        if self.local is not None and iteration > p.local_from * p.iterations + p.densify_every:
+            near = self._inside(self.local.raw["means"].detach(), 4.0)
+            opacity = p.local_prune_opacity
+            local = DensityRules(
+                p.densify_gradient, size, LARGEST * self.extent, opacity, p.max_local_surfels
+            )
+            densify(self.local, local, near, rng)
+        if self.background is not None:
+            means = self.background.raw["means"].detach()
+            rules = DensityRules(
+                p.densify_gradient, size, math.inf, p.prune_opacity, p.background_surfels
+            )
+            densify(self.background, rules, ~self._inside(means, 1.0), rng)
+
+    def _sets(self) -> list[TrainableSet]:
+        return [s for s in (self.geometry, self.local, self.background) if s is not None]
+
+    def _named_sets(self) -> dict[str, TrainableSet]:
+        named = {"geometry": self.geometry, "local": self.local, "background": self.background}
+        return {name: s for name, s in named.items() if s is not None}
+
+    def state(self) -> dict[str, Tensor]:
+        """Everything needed to continue, as named tensors."""
+        out: dict[str, Tensor] = {}
+        for name, group in self._named_sets().items():
+            out |= {f"{name}/{k}": v for k, v in group.state().items()}
+        if self.shader is not None:
+            moments = self.shader_optimizer[0].state
+            for k, v in self.shader.named_parameters():
+                out[f"shader/{k}"] = v.detach()
+                out |= {f"shader-adam/{k}/{m}": x for m, x in moments.get(v, {}).items()}
+        return out
+
+    def restore(self, state: dict[str, Tensor]) -> None:
+        """Inverse of `state`."""
+        for name, group in self._named_sets().items():
+            prefix = f"{name}/"
+            group.restore({k[len(prefix) :]: v for k, v in state.items() if k.startswith(prefix)})
+        if self.shader is None:
+            return
+        with torch.no_grad():
+            for k, v in self.shader.named_parameters():
+                v.copy_(state[f"shader/{k}"])
+                prefix = f"shader-adam/{k}/"
+                moments = {
+                    n[len(prefix) :]: t.clone() for n, t in state.items() if n.startswith(prefix)
+                }
+                if moments:
+                    self.shader_optimizer[0].state[v] = moments
+
+    def freeze(self) -> SurfelField:
+        """The field as an artifact."""
+        empty = np.zeros
+        nothing = SurfelSet(
+            *(empty(s, np.float32) for s in ((0, 3), (0, 4), (0, 2), (0,))), values={}
+        )
+        p, s = self.params, self.shader
+        model = ShaderModel(
+            reflection=s is not None,
+            local=p.local if s is not None else "none",
+            mixing=p.mixing,
+            physical=p.physical,
+            environment=empty((0, 0, 4), np.float32)
+            if s is None
+            else s.environment.detach().numpy().copy(),
+            weights=() if s is None else tuple(x.weight.detach().numpy().copy() for x in s.layers),
+            biases=() if s is None else tuple(x.bias.detach().numpy().copy() for x in s.layers),
+        )
+        local = nothing if self.local is None else self.local.freeze()
+        background = nothing if self.background is None else self.background.freeze()
+        return SurfelField(self.geometry.freeze(), local, background, model, self.near)

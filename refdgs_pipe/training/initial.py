@@ -1,0 +1,160 @@
+"""Where surfels start: on the visual hull of the masks, at sparse points, or anywhere in the ball."""
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from refdgs_pipe.artifacts.sparse_model import Ball
+from refdgs_pipe.camera import F64, Camera
+
+F32 = NDArray[np.float32]
+
+HULL_CELLS = 128  # along the ball's diameter
+SKY_SURFELS = 4000
+SKY_DISTANCE = 8.0  # of the farthest camera from the ball, in their distance
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """Oriented discs to start from: points (N, 3), normals (N, 3) unit, sizes (N,), colors (N, 3)."""
+
+    points: F64
+    normals: F64
+    sizes: F64
+    colors: F64
+
+
+def hull_cloud(
+    ball: Ball, cameras: list[Camera], masks: list[F32], count: int, rng: np.random.Generator
+) -> Cloud | None:
+    """Discs on the visual hull, or None if the masks leave nothing.
+
+    Args:
+        masks: (H, W) in [0, 1] for each camera, at its size.
+    """
+    n = HULL_CELLS
+    ticks = ((np.arange(n) + 0.5) / n * 2 - 1) * ball.radius * 1.05
+    cell = float(ticks[1] - ticks[0])
+    alive = np.arange(n**3)
+    misses = np.zeros(n**3, np.int16)
+    allowed = max(1, len(cameras) // 30)
+    for camera, mask in zip(cameras, masks, strict=True):
+        i, j, k = alive // (n * n), alive // n % n, alive % n
+        points = ball.center + np.stack([ticks[i], ticks[j], ticks[k]], -1)
+        uv, depth = camera.project(points)
+        inside = (depth > 0) & (uv >= 0).all(1) & (uv < (camera.width, camera.height)).all(1)
+        col, row = np.where(inside[:, None], uv, 0).astype(np.int64).T
+        misses[alive] += inside & (mask[row, col] < 0.25)
+        alive = alive[misses[alive] <= allowed]
+    if len(alive) < 50:
+        return None
+    grid = np.zeros(n**3, np.float32)
+    grid[alive] = 1
+    return _surface(grid.reshape(n, n, n), ticks, cell, ball, count, rng)
+
+
+def _surface(
+    grid: F32, ticks: F64, cell: float, ball: Ball, count: int, rng: np.random.Generator
+) -> Cloud:
+    """Random points on the boundary of an occupancy grid, oriented by its smoothed gradient."""
+    padded = np.pad(grid, 1)
+    neighbours = [np.roll(padded, s, a)[1:-1, 1:-1, 1:-1] for a in range(3) for s in (1, -1)]
+    shell = np.argwhere((grid > 0) & (np.minimum.reduce(neighbours) == 0))
+    smooth = grid
+    for axis in range(3):
+        smooth = _blurred(smooth, axis)
+    gradient = np.stack(np.gradient(smooth), -1)
+    picked = shell[rng.choice(len(shell), count, replace=len(shell) < count)]
+    normals = -gradient[tuple(picked.T)].astype(np.float64)
+    normals += 1e-6 * rng.normal(size=normals.shape)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    points = ball.center + ticks[picked] + cell * (rng.random(picked.shape) - 0.5)
+    area = len(shell) * cell**2 * 1.2
+    sizes = np.full(count, math.sqrt(area / count) * 0.6)
+    return Cloud(points, normals, sizes, np.full((count, 3), 0.3))
+
+
+def _blurred(values: F32, axis: int) -> F32:
+    """A 5-tap binomial blur along one axis."""
+    out = 6 * values
+    for shift, weight in ((1, 4), (2, 1)):
+        out = out + weight * (np.roll(values, shift, axis) + np.roll(values, -shift, axis))
+    return out / 16
+
+
+def ball_cloud(ball: Ball, count: int, rng: np.random.Generator, *, share: float = 1.0) -> Cloud:
+    """Random discs in (a share of) the ball."""
+    direction = rng.normal(size=(count, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    points = ball.center + direction * ball.radius * share * rng.random((count, 1)) ** (1 / 3)
+    normals = rng.normal(size=(count, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return Cloud(points, normals, neighbour_sizes(points), np.full((count, 3), 0.3))
+
+
+def sparse_cloud(
+    points: F64, colors: NDArray[np.uint8], cameras: list[Camera], rng: np.random.Generator
+) -> Cloud:
+    """Discs at sparse points, facing the cameras roughly."""
+    centers = np.stack([camera.center for camera in cameras])
+    towards = centers[rng.integers(len(centers), size=len(points))] - points
+    normals = towards / np.linalg.norm(towards, axis=1, keepdims=True).clip(1e-9)
+    normals += 0.2 * rng.normal(size=normals.shape)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return Cloud(points, normals, neighbour_sizes(points), colors / 255.0)
+
+
+def sky_cloud(ball: Ball, cameras: list[Camera], color: F64) -> Cloud:
+    """A far sphere of discs that face inwards, for whatever has no sparse points."""
+    distance = max(float(np.linalg.norm(c.center - ball.center)) for c in cameras)
+    radius = SKY_DISTANCE * max(distance, ball.radius)
+    i = np.arange(SKY_SURFELS) + 0.5
+    z, phi = 1 - 2 * i / SKY_SURFELS, i * math.pi * (1 + 5**0.5)
+    flat = np.sqrt(1 - z * z)
+    direction = np.stack([flat * np.cos(phi), flat * np.sin(phi), z], -1)
+    sizes = np.full(SKY_SURFELS, radius * math.sqrt(4 * math.pi / SKY_SURFELS) * 0.7)
+    colors = np.broadcast_to(color, direction.shape)
+    return Cloud(ball.center + radius * direction, -direction, sizes, colors)
+
+
+def joined(*clouds: Cloud) -> Cloud:
+    """All discs in one cloud."""
+    return Cloud(
+        *(
+            np.concatenate([getattr(c, name) for c in clouds])
+            for name in ("points", "normals", "sizes", "colors")
+        )
+    )
+
+
+def neighbour_sizes(points: F64) -> F64:
+    """(N,) 0.5 of the root mean squared distance to the three nearest neighbours."""
+    if len(points) < 4:
+        return np.full(len(points), 0.01)
+    index = cv2.flann_Index(points.astype(np.float32), {"algorithm": 1, "trees": 1})
+    _, squared = index.knnSearch(points.astype(np.float32), 4, params={"checks": 64})
+    sizes = 0.5 * np.sqrt(np.maximum(squared[:, 1:].mean(1), 1e-14))
+    return np.asarray(np.minimum(sizes, 8 * np.median(sizes)), np.float64)
+
+
+def raw_discs(cloud: Cloud, opacity: float) -> dict[str, Tensor]:
+    """The geometry of a trainable set: means, quats, log_scales, raw_opacities."""
+    return {
+        "means": torch.tensor(cloud.points, dtype=torch.float32),
+        "quats": torch.tensor(_quats_of(cloud.normals), dtype=torch.float32),
+        "log_scales": torch.tensor(np.log(cloud.sizes), dtype=torch.float32)[:, None].repeat(1, 2),
+        "raw_opacities": torch.full((len(cloud.points),), math.log(opacity / (1 - opacity))),
+    }
+
+
+def _quats_of(normals: F64) -> F64:
+    """(N, 4) shortest rotations that take z to the normals."""
+    x, y, z = normals.T
+    quats = np.stack([1 + z, -y, x, np.zeros_like(z)], -1)
+    quats[z < -0.9999] = (0, 1, 0, 0)
+    return np.asarray(quats / np.linalg.norm(quats, axis=1, keepdims=True))

@@ -1,0 +1,117 @@
+"""Drawing a finished field."""
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from refdgs_pipe.artifacts.surface_map import SurfaceMap
+from refdgs_pipe.artifacts.surfel_field import SurfelField, SurfelSet
+from refdgs_pipe.camera import Camera
+from refdgs_pipe.errors import DeviceError
+from refdgs_pipe.ops import Pinhole, Surfels
+from refdgs_pipe.training.shading import Picture, Scene, draw, sh_color
+from refdgs_pipe.training.surfels import Shader
+
+F32 = NDArray[np.float32]
+SURFACE_ALPHA = 0.05
+
+
+def render_surface_map(
+    field: SurfelField, camera: Camera, *, device: str = "cpu", threads: int | None = None
+) -> SurfaceMap:
+    """What the camera sees of the object, over black, without the background surfels' colour.
+
+    Background surfels still hide what is behind them.
+
+    Raises:
+        DeviceError: the device is not built in.
+    """
+    picture = _picture(field, camera, (0.0, 0.0, 0.0), device, threads)
+    alpha = picture.object_alpha
+    there = alpha > SURFACE_ALPHA
+    return SurfaceMap(
+        camera=camera,
+        depth=_array(torch.where(there, picture.depth, 0.0)),
+        alpha=_array(alpha),
+        normal=_array(torch.where(there[..., None], picture.normal, 0.0)),
+        diffuse=_array(picture.diffuse),
+        specular=_array(picture.specular),
+        roughness=_array(picture.roughness),
+        color=_array(picture.image.clamp(0, 1)),
+    )
+
+
+def render_image(
+    field: SurfelField,
+    camera: Camera,
+    *,
+    backdrop: tuple[float, float, float] = (1.0, 1.0, 1.0),
+    device: str = "cpu",
+    threads: int | None = None,
+) -> F32:
+    """(H, W, 3) sRGB picture in [0, 1] over a backdrop colour."""
+    return _array(_picture(field, camera, backdrop, device, threads).image.clamp(0, 1))
+
+
+def _picture(
+    field: SurfelField,
+    camera: Camera,
+    backdrop: tuple[float, float, float],
+    device: str,
+    threads: int | None,
+) -> Picture:
+    if device != "cpu":
+        raise DeviceError(f"device {device!r} cannot draw in this build: use --device cpu")
+    before = torch.get_num_threads()
+    torch.set_num_threads(threads or before)
+    try:
+        with torch.no_grad():
+            return draw(
+                _scene(field, camera), Pinhole.of(camera, field.near), torch.tensor(backdrop)
+            )
+    finally:
+        torch.set_num_threads(before)
+
+
+def _scene(field: SurfelField, camera: Camera) -> Scene:
+    values = {k: torch.from_numpy(v) for k, v in field.geometry.values.items()}
+    local, background = field.local, field.background
+    rgb = None
+    if len(background):
+        towards = torch.from_numpy((background.means - camera.center).astype(np.float32))
+        towards = towards / towards.norm(dim=-1, keepdim=True)
+        rgb = sh_color(torch.from_numpy(background.values["sh"]), towards)
+    return Scene(
+        geometry=_surfels(field.geometry),
+        diffuse=values["diffuse"],
+        roughness=values["roughness"][:, 0],
+        shared_features=values.get("features"),
+        local=_surfels(local) if len(local) else None,
+        local_features=torch.from_numpy(local.values["features"]) if len(local) else None,
+        background=_surfels(background) if len(background) else None,
+        background_rgb=rgb,
+        shader=_shader(field),
+    )
+
+
+def _surfels(part: SurfelSet) -> Surfels:
+    return Surfels(
+        *(torch.from_numpy(a) for a in (part.means, part.quats, part.scales, part.opacities))
+    )
+
+
+def _shader(field: SurfelField) -> Shader | None:
+    model = field.shader
+    if not model.reflection:
+        return None
+    shader = Shader(len(model.environment), model.local, model.mixing, model.physical)
+    with torch.no_grad():
+        shader.environment.copy_(torch.from_numpy(model.environment))
+        for layer, w, b in zip(shader.layers, model.weights, model.biases, strict=True):
+            layer.weight.copy_(torch.from_numpy(w))
+            layer.bias.copy_(torch.from_numpy(b))
+    return shader
+
+
+def _array(tensor: torch.Tensor) -> F32:
+    return np.ascontiguousarray(tensor.numpy(), np.float32)

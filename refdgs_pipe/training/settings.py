@@ -1,0 +1,103 @@
+"""Every setting of a training run. Times are fractions of the run, so that a recipe can scale it."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from refdgs_pipe.params import Params
+
+
+class TrainParams(Params):
+    """Ref-DGS training. Defaults are the `glossy` recipe."""
+
+    iterations: int = Field(6000, ge=1, le=200_000, description="optimiser steps")
+    max_side: int = Field(
+        800, ge=32, le=8192, description="longest image side trained on, in pixels"
+    )
+    coarse: float = Field(
+        0.5, gt=0, le=1, description="image scale at the start of the run; 1 = full size throughout"
+    )
+    coarse_until: float = Field(
+        0.2, ge=0, le=1, description="fraction of the run trained at the coarse scale"
+    )
+    seed: int = Field(0, ge=0, description="of all random choices")
+
+    reflection: bool = Field(True, description="false: diffuse colour only, the matte control")
+    local: Literal["none", "shared", "dual"] = Field(
+        "dual",
+        description="near-field reflection features: none, on the geometry surfels, or on their own",
+    )
+    mixing: Literal["adaptive", "sum"] = Field(
+        "adaptive", description="the shader sees far and near features side by side, or their sum"
+    )
+    physical: bool = Field(True, description="the shader also sees roughness and cos(normal, view)")
+    local_from: float = Field(
+        0.1, ge=0, le=1, description="fraction of the run after which near-field features join"
+    )
+    environment_height: int = Field(
+        256,
+        ge=16,
+        le=1024,
+        description="rows of the Sph-Mip map, a power of two; columns are twice",
+    )
+    diffuse_bias: float = Field(
+        2.0, ge=0, le=10, description="initial diffuse is exp(-bias)/5: 0 bright, 2 dark"
+    )
+
+    surfels: int = Field(20_000, ge=100, le=2_000_000, description="geometry surfels at the start")
+    max_surfels: int = Field(60_000, ge=100, le=5_000_000, description="geometry surfels at most")
+    local_surfels: int = Field(
+        8_000, ge=100, le=2_000_000, description="local reflection surfels at the start"
+    )
+    max_local_surfels: int = Field(
+        20_000, ge=100, le=5_000_000, description="local reflection surfels at most"
+    )
+    background_surfels: int = Field(
+        60_000, ge=100, le=5_000_000, description="surfels outside the object ball at most"
+    )
+    densify_from: float = Field(0.05, ge=0, le=1, description="fraction of the run")
+    densify_until: float = Field(0.6, ge=0, le=1, description="fraction of the run")
+    densify_every: int = Field(100, ge=1, le=10_000, description="steps between densifications")
+    densify_gradient: float = Field(
+        2e-4,
+        gt=0,
+        le=1,
+        description="mean screen gradient (loss per half image width) to densify at",
+    )
+    split_size: float = Field(
+        0.01, gt=0, le=1, description="surfels larger than this are split, in scene extents"
+    )
+    prune_opacity: float = Field(0.05, ge=0, lt=1, description="surfels fainter than this go")
+    local_prune_opacity: float = Field(
+        0.01, ge=0, lt=1, description="local surfels fainter than this go"
+    )
+
+    rate_means: float = Field(
+        1.6e-4, gt=0, le=1, description="initial step of centres, in scene extents; ends at 1/100"
+    )
+    rate_opacities: float = Field(0.05, gt=0, le=1, description="step of raw opacities")
+    rate_scales: float = Field(0.005, gt=0, le=1, description="step of log scales")
+    rate_quats: float = Field(0.001, gt=0, le=1, description="step of quaternions")
+    rate_diffuse: float = Field(0.002, gt=0, le=1, description="step of raw diffuse colour")
+    rate_roughness: float = Field(0.002, gt=0, le=1, description="step of raw roughness")
+    rate_features: float = Field(0.002, gt=0, le=1, description="step of local features")
+    rate_environment: float = Field(0.002, gt=0, le=1, description="step of the Sph-Mip map")
+    rate_shader: float = Field(5e-4, gt=0, le=1, description="step of the shader's weights")
+
+    ssim_share: float = Field(0.2, ge=0, le=1, description="share of 1 - SSIM in the image loss")
+    mask_weight: float = Field(
+        1.0, ge=0, le=10, description="weight of the alpha's cross-entropy against masks"
+    )
+    normal_weight: float = Field(
+        0.05, ge=0, le=10, description="weight of the agreement of normals with depth"
+    )
+    distortion_weight: float = Field(
+        0.0, ge=0, le=1e6, description="weight of the depth distortion"
+    )
+    smooth_weight: float = Field(
+        0.0,
+        ge=0,
+        le=10,
+        description="weight of normal smoothness away from diffuse and depth edges",
+    )
+    hull: bool = Field(True, description="start on the masks' visual hull where there are masks")

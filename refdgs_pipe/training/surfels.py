@@ -1,0 +1,215 @@
+"""Sets of surfels as the optimiser sees them, and how they grow and shrink."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from refdgs_pipe.artifacts.surfel_field import SurfelSet
+from refdgs_pipe.ops import Surfels, reference
+
+_EPSILON = 1e-15  # of Adam, as the method has it: gradients per surfel are tiny
+
+
+def diffuse_of(raw: Tensor) -> Tensor:
+    """Linear diffuse colour, exp(min(a, 5)) / 5."""
+    return torch.exp(raw.clamp(max=5.0)) / 5.0
+
+
+def raw_diffuse_of(diffuse: Tensor) -> Tensor:
+    """Inverse of `diffuse_of`."""
+    return torch.log((diffuse * 5.0).clamp(min=1e-6))
+
+
+class TrainableSet:
+    """One set of surfels in optimised form, with its Adam state and densification statistics.
+
+    `raw` maps names to leaf tensors of equal length: means (N, 3), quats (N, 4), log_scales
+    (N, 2), raw_opacities (N,) and what the surfels carry (raw_diffuse, raw_roughness, features, sh).
+    """
+
+    def __init__(self, raw: dict[str, Tensor], rates: dict[str, float]) -> None:
+        self.raw = {name: value.detach().clone().requires_grad_() for name, value in raw.items()}
+        groups = [{"params": [p], "lr": rates[n], "name": n} for n, p in self.raw.items()]
+        self.optimizer = torch.optim.Adam(groups, eps=_EPSILON, fused=True)
+        self._reset_statistics()
+
+    def __len__(self) -> int:
+        return len(self.raw["means"])
+
+    def surfels(self) -> Surfels:
+        """The activated geometry."""
+        raw = self.raw
+        return Surfels(
+            raw["means"],
+            raw["quats"],
+            torch.exp(raw["log_scales"]),
+            torch.sigmoid(raw["raw_opacities"]),
+        )
+
+    def set_rate(self, name: str, rate: float) -> None:
+        """Change the step of one tensor."""
+        for group in self.optimizer.param_groups:
+            if group["name"] == name:
+                group["lr"] = rate
+
+    def observe(self, gradients: Tensor, radii: Tensor) -> None:
+        """Add one view's screen gradients (N,) for the surfels it drew."""
+        seen = radii > 0
+        self.gradient_sum += torch.where(seen, gradients, 0.0)
+        self.seen += seen
+
+    def _reset_statistics(self) -> None:
+        n = len(self)
+        self.gradient_sum, self.seen = torch.zeros(n), torch.zeros(n)
+
+    def rebuild(self, source: Tensor, changed: dict[str, Tensor], fresh: Tensor) -> None:
+        """Replace the set by surfels copied from `source` indices (M,).
+
+        Args:
+            changed: tensors (M, ...) that are not plain copies.
+            fresh: (M,) bool; these start with empty Adam moments.
+        """
+        for group in self.optimizer.param_groups:
+            name, old = group["name"], group["params"][0]
+            value = changed.get(name, old.detach()[source])
+            new = value.clone().requires_grad_()
+            state = self.optimizer.state.pop(old, None)
+            if state:
+                for moment in ("exp_avg", "exp_avg_sq"):
+                    moved = state[moment][source]
+                    moved[fresh] = 0
+                    state[moment] = moved
+                self.optimizer.state[new] = state
+            group["params"][0] = new
+            self.raw[name] = new
+        self._reset_statistics()
+
+    def state(self) -> dict[str, Tensor]:
+        """Everything needed to continue, as named tensors."""
+        out = {"gradient_sum": self.gradient_sum, "seen": self.seen}
+        for name, value in self.raw.items():
+            out[f"raw.{name}"] = value.detach()
+            for key, moment in self.optimizer.state.get(value, {}).items():
+                out[f"adam.{name}.{key}"] = moment
+        return out
+
+    def restore(self, state: dict[str, Tensor]) -> None:
+        """Inverse of `state`."""
+        self.gradient_sum, self.seen = state["gradient_sum"].clone(), state["seen"].clone()
+        for group in self.optimizer.param_groups:
+            name = group["name"]
+            new = state[f"raw.{name}"].clone().requires_grad_()
+            self.optimizer.state.pop(group["params"][0], None)
+            moments = {k: state.get(f"adam.{name}.{k}") for k in ("step", "exp_avg", "exp_avg_sq")}
+            if all(m is not None for m in moments.values()):
+                self.optimizer.state[new] = {
+                    k: m.clone() for k, m in moments.items() if m is not None
+                }
+            group["params"][0] = new
+            self.raw[name] = new
+
+    def freeze(self) -> SurfelSet:
+        """The set as an artifact."""
+        with torch.no_grad():
+            s = self.surfels()
+            values = {
+                name: activated.reshape(len(self), -1).numpy().copy()
+                for name, activated in _carried(self.raw).items()
+            }
+            quats = s.quats / s.quats.norm(dim=-1, keepdim=True)
+            parts = (s.means, quats, s.scales, s.opacities)
+            return SurfelSet(*(p.numpy().copy() for p in parts), values=values)
+
+
+def _carried(raw: dict[str, Tensor]) -> dict[str, Tensor]:
+    activations = {
+        "raw_diffuse": ("diffuse", diffuse_of),
+        "raw_roughness": ("roughness", torch.sigmoid),
+        "features": ("features", torch.tanh),
+        "sh": ("sh", lambda x: x),
+    }
+    return {new: f(raw[old]) for old, (new, f) in activations.items() if old in raw}
+
+
+@dataclass(frozen=True)
+class DensityRules:
+    """When surfels multiply and when they go.
+
+    Args:
+        gradient: mean screen gradient to densify at.
+        split_size: world units; larger surfels are split in two, smaller ones cloned.
+        largest: world units; larger surfels are removed.
+        opacity: fainter surfels are removed.
+        most: surfels at most.
+    """
+
+    gradient: float
+    split_size: float
+    largest: float
+    opacity: float
+    most: int
+
+
+def densify(group: TrainableSet, rules: DensityRules, keep: Tensor, rng: torch.Generator) -> None:
+    """Clone and split where the image pulls hardest; remove the faint, the huge and the not `keep`.
+
+    Args:
+        keep: (N,) bool from the caller, such as inside the object ball.
+    """
+    with torch.no_grad():
+        n = len(group)
+        opacity = torch.sigmoid(group.raw["raw_opacities"])
+        size = torch.exp(group.raw["log_scales"]).amax(-1)
+        alive = keep & (opacity >= rules.opacity) & (size <= rules.largest)
+        pull = group.gradient_sum / group.seen.clamp(min=1)
+        wanted = alive & (pull >= rules.gradient)
+        room = max(0, rules.most - int(alive.sum()))
+        if int(wanted.sum()) > room:
+            strongest = torch.where(wanted, pull, -1.0).topk(room).indices
+            wanted = torch.zeros(n, dtype=torch.bool)
+            wanted[strongest] = True
+        split = wanted & (size > rules.split_size)
+        kept = torch.nonzero(alive & ~split).flatten()
+        cloned = torch.nonzero(wanted & ~split).flatten()
+        halves = torch.nonzero(split).flatten().repeat(2)
+        source = torch.cat([kept, cloned, halves])
+        means = group.raw["means"].detach()[source].clone()
+        scales = group.raw["log_scales"].detach()[source].clone()
+        if len(halves):
+            axes = reference.rotation_matrices(group.raw["quats"].detach()[halves])[:, :, :2]
+            offset = torch.randn(len(halves), 2, generator=rng) * torch.exp(scales[-len(halves) :])
+            means[-len(halves) :] += (axes @ offset[..., None])[..., 0]
+            scales[-len(halves) :] -= math.log(1.6)
+        fresh = torch.zeros(len(source), dtype=torch.bool)
+        fresh[len(kept) :] = True
+        group.rebuild(source, {"means": means, "log_scales": scales}, fresh)
+
+
+def step_all(
+    groups: Iterable[TrainableSet | None], modules: Iterable[torch.optim.Optimizer]
+) -> None:
+    """One optimiser step of everything, gradients cleared."""
+    optimizers = [g.optimizer for g in groups if g is not None and len(g)]
+    for optimizer in [*optimizers, *modules]:
+        optimizer.step()
+        optimizer.zero_grad(set_to_none=True)
+
+
+class Shader(nn.Module):
+    """The learnable far-field map and the MLP that turns features into specular radiance.
+
+    Sph-Mip map (H, 2H, 4), zeros at first; MLP with 3 hidden layers of 64, ReLU, whose output is
+    exp(min(x, 5)), at first about 0.25 (method: Ref-DGS).
+    """
+
+    def __init__(self, height: int, local: str, mixing: str, physical: bool) -> None:
+        super().__init__()
+        self.local, self.mixing, self.physical = local, mixing, physical
+        inputs = 4 + (4 if mixing == "adaptive" and local != "none" else 0) + (2 if physical else 0)
+        self.environment = nn.Parameter(torch.zeros(height, 2 * height, 4))
+        sizes = [inputs, 64, 64, 64, 3]
+        self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in zip(sizes, sizes[1:], strict=False))
+        nn.init.constant_(self.layers[-1].bias, math.log(0.25))  # type: ignore[arg-type]

@@ -1,0 +1,159 @@
+"""The optimisation of a Ref-DGS field, resumable at any step."""
+
+import json
+import math
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from refdgs_pipe.artifacts.sparse_model import SparseModel
+from refdgs_pipe.artifacts.surfel_field import SurfelField
+from refdgs_pipe.artifacts.views import Views
+from refdgs_pipe.errors import Cancelled, TrainingError
+from refdgs_pipe.ops import image_loss
+from refdgs_pipe.ops.native import keep_freed_memory
+from refdgs_pipe.training import losses
+from refdgs_pipe.training.checkpoint import read_checkpoint, write_checkpoint
+from refdgs_pipe.training.field import TrainableField
+from refdgs_pipe.training.photos import TrainingPhoto, composited, load_training_photos, shrunk
+from refdgs_pipe.training.settings import TrainParams
+from refdgs_pipe.training.shading import Picture, draw
+
+Progress = Callable[[int, int, str], None]
+CHECKPOINT_SECONDS = 30.0
+REPORT_STEPS = 10
+NEAR = 0.02  # of the distance of the nearest camera to the ball's centre
+
+
+class Trainer:
+    """Owns the field, the photos and the random numbers of one run."""
+
+    def __init__(
+        self, views: Views, model: SparseModel, params: TrainParams, scratch: Path
+    ) -> None:
+        keep_freed_memory()
+        self.params, self.model, self.scratch = params, model, scratch
+        distances = [float(np.linalg.norm(c.center - model.ball.center)) for c in model.cameras]
+        self.near = NEAR * min(distances)
+        self.full = load_training_photos(views, model, max_side=params.max_side, near=self.near)
+        if not self.full:
+            raise TrainingError("no photo is left to train on: every view is held out or lost")
+        self.scales: dict[float, list[TrainingPhoto]] = {1.0: self.full}
+        self.rng = torch.Generator().manual_seed(params.seed)
+        torch.manual_seed(params.seed)
+        self.masked = views.background != "photo"
+        self.field = TrainableField(params, model, self.full, masked=self.masked, near=self.near)
+        self.iteration = 0
+        self.loss, self.psnr = math.nan, math.nan
+        self.curve: list[tuple[int, float, float]] = []
+
+    def run(self, progress: Progress) -> SurfelField:
+        """Train to the end, or until `progress` raises; a checkpoint is kept either way.
+
+        Raises:
+            TrainingError: the loss stopped being finite.
+            Cancelled: `progress` raised it; the next run continues from here.
+        """
+        self._resume()
+        total = self.params.iterations
+        saved = time.monotonic()
+        try:
+            while self.iteration < total:
+                self.step()
+                if self.iteration % REPORT_STEPS == 0:
+                    note = f"loss {self.loss:.4f}  PSNR {self.psnr:.2f} dB  {len(self.field.geometry)} surfels"
+                    progress(self.iteration, total, note)
+                if time.monotonic() - saved > CHECKPOINT_SECONDS:
+                    self.save()
+                    saved = time.monotonic()
+        except Cancelled:
+            self.save()
+            raise
+        return self.field.freeze()
+
+    def step(self) -> None:
+        """One photo, one gradient, one update."""
+        p, i = self.params, self.iteration
+        fraction = i / p.iterations
+        photo = self._photo(fraction)
+        self.field.set_rates(fraction)
+        backdrop = torch.rand(3, generator=self.rng) if self.masked else torch.zeros(3)
+        extra = "distortion" if p.distortion_weight > 0 else "depth"
+        picture = draw(
+            self.field.scene(photo.pinhole, fraction), photo.pinhole, backdrop, extra=extra
+        )
+        loss = self._loss(picture, photo, backdrop)
+        loss.backward()
+        self._note(loss, picture, photo, backdrop)
+        self.field.observe(picture, photo.pinhole.width)
+        self.field.step()
+        self.iteration += 1
+        self.field.adapt(self.iteration, self.rng)
+
+    def _photo(self, fraction: float) -> TrainingPhoto:
+        """A random photo at the scale of this moment."""
+        p = self.params
+        scale = p.coarse if fraction < p.coarse_until else 1.0
+        if scale not in self.scales:
+            self.scales[scale] = [shrunk(photo, scale) for photo in self.full]
+        pick = int(torch.randint(len(self.full), (1,), generator=self.rng))
+        return self.scales[scale][pick]
+
+    def _loss(self, picture: Picture, photo: TrainingPhoto, backdrop: Tensor) -> Tensor:
+        p = self.params
+        target = composited(photo, backdrop)
+        valid = None if photo.valid is None else photo.valid.float()
+        loss = image_loss(picture.image, target, weight=valid, ssim_share=p.ssim_share)
+        if photo.mask is not None and p.mask_weight > 0:
+            loss = loss + p.mask_weight * losses.mask_entropy(
+                picture.alpha, photo.mask.float() / 255
+            )
+        if p.normal_weight > 0:
+            loss = loss + p.normal_weight * losses.normal_consistency(
+                picture.normal, picture.depth, picture.alpha, photo.pinhole
+            )
+        if p.smooth_weight > 0:
+            loss = loss + p.smooth_weight * losses.normal_smoothness(
+                picture.normal, picture.diffuse, picture.depth, picture.alpha
+            )
+        if picture.distortion is not None:
+            loss = loss + p.distortion_weight * picture.distortion.mean()
+        return loss
+
+    def _note(self, loss: Tensor, picture: Picture, photo: TrainingPhoto, backdrop: Tensor) -> None:
+        """Running figures; a loss that is not finite ends the run at the last good checkpoint."""
+        value = float(loss.detach())
+        if not math.isfinite(value):
+            raise TrainingError(
+                f"training diverged at step {self.iteration + 1}: the loss is {value}. The last good "
+                "checkpoint is kept; lower train.rate_means or change train.seed and run again"
+            )
+        with torch.no_grad():
+            error = (picture.image - composited(photo, backdrop)).square().mean()
+        psnr = -10 * math.log10(max(float(error), 1e-10))
+        keep = 0.98 if math.isfinite(self.loss) else 0.0
+        self.loss = value if not keep else keep * self.loss + (1 - keep) * value
+        self.psnr = psnr if not keep else keep * self.psnr + (1 - keep) * psnr
+        if self.iteration % 50 == 0:
+            self.curve.append((self.iteration, self.loss, self.psnr))
+
+    def save(self) -> None:
+        """Write the checkpoint; an older one is replaced only when the new one is complete."""
+        tensors = {**self.field.state(), "rng": self.rng.get_state()}
+        figures = {"iteration": self.iteration, "loss": self.loss, "psnr": self.psnr}
+        write_checkpoint(self.scratch, tensors, json.dumps({**figures, "curve": self.curve}))
+
+    def _resume(self) -> None:
+        found = read_checkpoint(self.scratch)
+        if found is None:
+            return
+        tensors, text = found
+        figures = json.loads(text)
+        self.rng.set_state(tensors.pop("rng"))
+        self.field.restore(tensors)
+        self.iteration, self.loss, self.psnr = (figures[k] for k in ("iteration", "loss", "psnr"))
+        self.curve = [(int(a), float(b), float(c)) for a, b, c in figures["curve"]]

@@ -1,0 +1,25 @@
+"""Fit a Ref-DGS field to the photos."""
+
+from refdgs_pipe.artifacts.sparse_model import SparseModel
+from refdgs_pipe.artifacts.surfel_field import SurfelField
+from refdgs_pipe.artifacts.views import Views
+from refdgs_pipe.pipeline.stage import Job, stage
+from refdgs_pipe.training.settings import TrainParams
+
+
+@stage(version=1)
+def train(views: Views, model: SparseModel, params: TrainParams, job: Job) -> SurfelField:
+    """Optimise geometry, local reflection and background surfels and the shader."""
+    import torch
+
+    from refdgs_pipe.training.trainer import Trainer
+
+    torch.set_num_threads(job.threads)
+    trainer = Trainer(views, model, params, job.scratch)
+    field = trainer.run(lambda done, total, note: job.progress("training", done, total, note))
+    job.measure("loss", round(trainer.loss, 5))
+    job.measure("train PSNR", round(trainer.psnr, 2), "dB")
+    job.measure("surfels", len(field.geometry))
+    job.measure("local surfels", len(field.local))
+    job.measure("background surfels", len(field.background))
+    return field
