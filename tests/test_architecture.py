@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal, Union, get_args, get_origin
@@ -213,3 +214,19 @@ def test_every_setting_is_read_somewhere() -> None:
         f"{g.__name__}.{name}" for g in groups() for name in g.model_fields if name not in read
     ]
     assert unread == []
+
+
+def test_every_library_that_is_imported_is_a_declared_dependency() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    declared = {re.split(r"[<>=;\[ ]", line)[0].lower() for line in project["dependencies"]}
+    names = {"cv2": "opencv-contrib-python-headless", "PIL": "pillow", "pxr": "usd-core"}
+    names |= {"open3d": "open3d-cpu"}
+    imported = set()
+    for path in modules():
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Import):
+                imported |= {alias.name.partition(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module:
+                imported.add(node.module.partition(".")[0])
+    foreign = imported - set(sys.stdlib_module_names) - {"refdgs_pipe", "_refdgs_native"}
+    assert {names.get(name, name) for name in foreign} - declared == set()
