@@ -21,6 +21,8 @@ LIBRARIES = {
     "cv2": ("opencv-contrib-python-headless", ""),
     "PIL": ("pillow", ""),
     "rawpy": ("rawpy", "libgomp1"),
+    "exifread": ("exifread", ""),
+    "scipy": ("scipy", ""),
     "pycolmap": ("pycolmap", "libgomp1"),
     "open3d": ("open3d-cpu", "libgl1 libegl1 libx11-6 libusb-1.0-0 libgomp1"),
     "pymeshlab": ("pymeshlab", "libgl1 libopengl0"),
