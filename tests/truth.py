@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from refdgs_pipe.artifacts.sparse_model import Ball, SparseModel
 from refdgs_pipe.artifacts.surface_map import SurfaceMap
+from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
 from refdgs_pipe.camera import Camera, opencv_from_opengl
 from refdgs_pipe.color import linear_from_srgb
 from refdgs_pipe.files.ply import read_mesh
@@ -121,3 +122,50 @@ def distances(points: F32, vertices: F32, faces: NDArray[np.int32]) -> F32:
     )
     found = scene.compute_distance(o3d.core.Tensor(points.astype(np.float32)))
     return np.asarray(found.numpy())
+
+
+def errors(textured: TexturedMesh, view: SurfaceMap) -> tuple[float, float, float, float, float]:
+    """How far a textured mesh is from a true view of a scene.
+
+    Returns:
+        base colour (linear, mean, where it is no metal); angle in degrees of the normal map's and
+        of the mesh's own normals; mean metallic on metal (nan: no metal in view) and elsewhere.
+    """
+    import open3d as o3d
+
+    mesh, camera = textured.mesh, view.camera
+    scene = o3d.t.geometry.RaycastingScene()
+    scene.add_triangles(
+        o3d.core.Tensor.from_numpy(mesh.vertices),
+        o3d.core.Tensor.from_numpy(mesh.faces.astype(np.uint32)),
+    )
+    rays = camera.pixel_rays().reshape(-1, 3) @ camera.cam_from_world[:3, :3]
+    cast = np.concatenate([np.broadcast_to(camera.center, rays.shape), rays], 1)
+    hits = scene.cast_rays(o3d.core.Tensor.from_numpy(cast.astype(np.float32)))
+    away = np.abs(hits["t_hit"].numpy() - view.depth.reshape(-1))
+    pixels = np.flatnonzero(away < 0.02)
+    b, c = hits["primitive_uvs"].numpy()[pixels].T
+    weights = np.stack([1 - b - c, b, c], 1)
+    corners = mesh.faces[hits["primitive_ids"].numpy()[pixels]]
+
+    def at(values: F32) -> F32:
+        return np.einsum("nk,nkc->nc", weights, values[corners])
+
+    column, row = np.clip(at(mesh.uv) * textured.size, 0, textured.size - 1).astype(int).T
+    base = linear_from_srgb(textured.base_color[row, column] / np.float32(65535))
+    metallic = textured.metallic[row, column] / 65535
+    local = textured.normal[row, column] / 32767.5 - 1
+    tangent, plain = at(textured.tangents[:, :3]), at(mesh.normals)
+    across = np.cross(plain, tangent) * textured.tangents[corners[:, 0], 3:]
+    mapped = local[:, :1] * tangent + local[:, 1:2] * across + local[:, 2:] * plain
+    true = view.normal.reshape(-1, 3)[pixels]
+
+    def angle(normals: F32) -> float:
+        unit = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+        return float(np.degrees(np.arccos(np.clip((unit * true).sum(1), -1, 1))).mean())
+
+    metal = view.specular.reshape(-1, 3)[pixels].any(1)
+    wrong = np.abs(base - view.diffuse.reshape(-1, 3)[pixels]).mean(1)
+    on_metal = float(metallic[metal].mean()) if metal.any() else float("nan")
+    elsewhere = float(metallic[~metal].mean())
+    return float(wrong[~metal].mean()), angle(mapped), angle(plain), on_metal, elsewhere

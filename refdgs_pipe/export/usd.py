@@ -54,10 +54,10 @@ def write_usdz(path: Path, usdc: Path, textures: list[Path]) -> None:
         ExportError: one of them is missing.
     """
     try:
-        with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED) as package:
+        with path.open("wb") as out, zipfile.ZipFile(out, "w", zipfile.ZIP_STORED) as package:
             for file in (usdc, *textures):  # the layer must be first
                 entry = zipfile.ZipInfo(file.relative_to(usdc.parent).as_posix())
-                entry.extra = _padding(package.fp.tell() + 30 + len(entry.filename))
+                entry.extra = _padding(out.tell() + 30 + len(entry.filename))
                 package.writestr(entry, file.read_bytes())
     except FileNotFoundError as error:
         path.unlink(missing_ok=True)
