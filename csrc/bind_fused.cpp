@@ -4,6 +4,7 @@
 #include <nanobind/stl/vector.h>
 
 #include "ops/image_loss.h"
+#include "ops/mlp.h"
 #include "ops/sph_mip.h"
 
 namespace nb = nanobind;
@@ -70,11 +71,45 @@ template <class S> void bind_sph_mip(nb::module_& m, const char* name, const cha
   });
 }
 
+template <class S>
+MlpParameters<S> mlp_parameters(const std::vector<Address>& weights, const std::vector<Address>& biases) {
+  MlpParameters<S> net{};
+  for (size_t l = 0; l < weights.size(); ++l) net.weights[l] = at<S>(weights[l]), net.bias[l] = at<S>(biases[l]);
+  return net;
+}
+
+// shape: points, inputs, hidden layers, outputs; cap: empty, or of the exponential.
+template <class S>
+MlpPoints<S> mlp_points(const std::vector<int64_t>& shape, Address x, const std::vector<int64_t>& strides,
+                        const std::vector<double>& cap) {
+  return {shape[0], at<S>(x), strides[0], strides[1], !cap.empty(), cap.empty() ? 0 : cap[0]};
+}
+MlpShape mlp_shape(const std::vector<int64_t>& shape) { return {int(shape[1]), int(shape[2]), int(shape[3])}; }
+
+template <class S> void bind_mlp(nb::module_& m, const char* name, const char* bwd_name) {
+  using Addresses = const std::vector<Address>&;
+  m.def(name, [](const std::vector<int64_t>& shape, Address x, const std::vector<int64_t>& strides, Addresses weights,
+                 Addresses biases, const std::vector<double>& cap, int threads, Address out) {
+    nb::gil_scoped_release release;
+    mlp(mlp_shape(shape), mlp_points<S>(shape, x, strides, cap), mlp_parameters<const S>(weights, biases), threads,
+        at<S>(out));
+  });
+  m.def(bwd_name, [](const std::vector<int64_t>& shape, Address x, const std::vector<int64_t>& strides,
+                     Addresses weights, Addresses biases, const std::vector<double>& cap, int threads, Address out,
+                     Address v_out, Address v_x, Addresses v_weights, Addresses v_biases) {
+    nb::gil_scoped_release release;
+    mlp_bwd(mlp_shape(shape), mlp_points<S>(shape, x, strides, cap), mlp_parameters<const S>(weights, biases),
+            threads, at<S>(out), at<const S>(v_out), at<S>(v_x), mlp_parameters<S>(v_weights, v_biases));
+  });
+}
+
 }  // namespace
 
 void bind_fused(nb::module_& m) {
   bind_image_loss<float>(m, "image_loss_float");
   bind_image_loss<double>(m, "image_loss_double");
+  bind_mlp<float>(m, "mlp_float", "mlp_bwd_float");
+  bind_mlp<double>(m, "mlp_double", "mlp_bwd_double");
   bind_sph_mip<float>(m, "sph_mip_float", "sph_mip_bwd_float");
   bind_sph_mip<double>(m, "sph_mip_double", "sph_mip_bwd_double");
 }

@@ -1,6 +1,7 @@
 // The kernels of the best instruction set this CPU has, chosen once.
 #pragma once
 #include "image_loss.h"
+#include "mlp.h"
 #include "raster.h"
 #include "sph_mip.h"
 
@@ -13,6 +14,7 @@ struct Kernels {
   RasterKernels<float> (*raster)(int channels, Extra extra);
   LossKernel<float> loss_band;
   SphMipKernels<float> sph_mip;
+  MlpKernels<float> mlp;
 };
 
 // REFDGS_ISA=baseline|avx2|avx512 caps the choice, for tests.
@@ -22,5 +24,6 @@ const Kernels& kernels();
 RasterKernels<double> raster_kernels_double(int channels, Extra extra);
 void loss_band_double(const LossFrame<double>& frame, int channel, int band, double* scratch, double* sums);
 SphMipKernels<double> sph_mip_kernels_double();
+MlpKernels<double> mlp_kernels_double();
 
 }  // namespace refdgs

@@ -14,10 +14,12 @@ namespace avx512 {
 namespace {
 #include "simd.h"
 #include "image_loss.inl"
+#include "mlp.inl"
 #include "rasterize.inl"
 #include "sph_mip.inl"
 }  // namespace
 extern const Kernels kernels;
-const Kernels kernels = {"avx512", LANES, raster_kernels<float>, loss_band<float>, sph_mip_kernels<float>()};
+const Kernels kernels = {"avx512", LANES, raster_kernels<float>, loss_band<float>, sph_mip_kernels<float>(),
+                         mlp_kernels<float>()};
 }  // namespace avx512
 }  // namespace refdgs

@@ -14,11 +14,13 @@ namespace baseline {
 namespace {
 #include "simd.h"
 #include "image_loss.inl"
+#include "mlp.inl"
 #include "rasterize.inl"
 #include "sph_mip.inl"
 }  // namespace
 extern const Kernels kernels;
-const Kernels kernels = {"baseline", LANES, raster_kernels<float>, loss_band<float>, sph_mip_kernels<float>()};
+const Kernels kernels = {"baseline", LANES, raster_kernels<float>, loss_band<float>, sph_mip_kernels<float>(),
+                         mlp_kernels<float>()};
 }  // namespace baseline
 RasterKernels<double> raster_kernels_double(int channels, Extra extra) {
   return baseline::raster_kernels<double>(channels, extra);
@@ -27,4 +29,5 @@ void loss_band_double(const LossFrame<double>& frame, int channel, int band, dou
   baseline::loss_band(frame, channel, band, scratch, sums);
 }
 SphMipKernels<double> sph_mip_kernels_double() { return baseline::sph_mip_kernels<double>(); }
+MlpKernels<double> mlp_kernels_double() { return baseline::mlp_kernels<double>(); }
 }  // namespace refdgs

@@ -1,6 +1,7 @@
 """Differentiable operations on surfels and maps, each defined by a torch reference in float64."""
 
 from refdgs_pipe.ops.image_loss import image_loss, ssim, ssim_map
+from refdgs_pipe.ops.mlp import mlp
 from refdgs_pipe.ops.rasterize import Maps, Pinhole, ScreenStatistics, Surfels, rasterize
 from refdgs_pipe.ops.sph_mip import mip_levels, sph_mip
 
@@ -11,6 +12,7 @@ __all__ = [
     "Surfels",
     "image_loss",
     "mip_levels",
+    "mlp",
     "rasterize",
     "sph_mip",
     "ssim",

@@ -1,4 +1,4 @@
-"""Lookups in the Sph-Mip map in plain torch: the definition that the compiled ones are proved against."""
+"""Sph-Mip lookups in plain torch: the definition that the compiled ones are proved against."""
 
 import math
 

@@ -3,6 +3,7 @@
 pytest -m benchmark -s tests/benchmarks/bench_ops.py
 """
 
+import itertools
 import math
 import statistics
 import time
@@ -12,7 +13,14 @@ import pytest
 import torch
 from torch import Tensor
 
-from refdgs_pipe.ops import image_loss, reference_image_loss, reference_sph_mip, sph_mip
+from refdgs_pipe.ops import (
+    image_loss,
+    mlp,
+    reference_image_loss,
+    reference_mlp,
+    reference_sph_mip,
+    sph_mip,
+)
 
 pytestmark = pytest.mark.benchmark
 ROUNDS = 7
@@ -97,7 +105,7 @@ def test_sph_mip(size: tuple[int, int], order: str, count: int) -> None:
 
 
 def grid_sample_mips(base: Tensor, directions: Tensor, roughness: Tensor) -> Tensor:
-    """The fastest stock way: every level by grid_sample, padded for the seam; no care for the poles."""
+    """The fastest stock way: every level by grid_sample, padded for the seam; poles clamped."""
     u, v = reference_sph_mip.polar(directions)
     mips = reference_sph_mip.mips(base)
     level = (len(mips) * roughness).clamp(0, len(mips) - 1)
@@ -115,3 +123,23 @@ def grid_sample_mips(base: Tensor, directions: Tensor, roughness: Tensor) -> Ten
         )
         features = features.index_add(0, chosen, share[chosen, None] * values[0, :, 0].T)
     return features
+
+
+@pytest.mark.parametrize("count", [40_000, 100_000])
+def test_mlp(count: int) -> None:
+    g = torch.Generator().manual_seed(0)
+    widths = [10, 64, 64, 64, 3]
+    x = torch.randn(count, 10, generator=g).requires_grad_()
+    layers = [torch.nn.Linear(a, b) for a, b in itertools.pairwise(widths)]
+    weights, biases = [layer.weight for layer in layers], [layer.bias for layer in layers]
+    pull = torch.randn(count, 3, generator=g)
+
+    def loss_of(run: Callable[..., Tensor]) -> Callable[..., Tensor]:
+        return lambda *t: (run(t[0], t[1:5], t[5:], exp_cap=5.0) * pull).sum()
+
+    leaves = (x, *weights, *biases)
+    compare(
+        f"MLP 10-64-64-64-3, {count} points",
+        with_backward(loss_of(mlp), *leaves),
+        with_backward(loss_of(reference_mlp.mlp), *leaves),
+    )

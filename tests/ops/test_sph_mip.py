@@ -14,7 +14,7 @@ SIZES = [(2, 2), (2, 8), (16, 4), (8, 16), (32, 64)]
 
 
 def query(count: int, seed: int = 0) -> tuple[Tensor, Tensor]:
-    """Directions of any length, some at and near the poles and the seam, and roughness past 0..1."""
+    """Directions of any length, some at the poles and the seam, and roughness past 0..1."""
     g = torch.Generator().manual_seed(seed)
     directions = torch.randn(count, 3, generator=g, dtype=torch.float64)
     special = [[0, 0, 1], [0, 0, -1], [1, 0, 0], [1, -1e-9, 0], [-1, 0, 0], [1e-5, -2e-5, 1]]

@@ -1,0 +1,73 @@
+// A small multilayer perceptron on many points: hidden layers of 64 with ReLU, a linear or exponential end.
+#pragma once
+#include <cstdint>
+
+namespace refdgs {
+
+constexpr int kHidden = 64;
+constexpr int kMlpBlock = 64;        // points whose activations are held at once
+constexpr int kMlpInputs = 32;       // at most
+constexpr int kMlpOutputs = 4;       // at most; narrower ends are padded with zeros
+constexpr int kMlpColumns = 16;      // columns are padded to this, a multiple of every vector's width
+constexpr int kMlpHiddenLayers = 8;  // at most
+
+struct MlpShape {
+  int inputs, hidden_layers, outputs;
+};
+
+// Weights for reading along either side, padded with zeros, and where their gradients go.
+template <class S> struct MlpLayer {
+  int inputs, outputs;        // padded: rows and columns that are computed
+  int input_stride, stride;   // of `weights` and of `transposed`
+  S* weights;                 // [outputs][input_stride]
+  S* transposed;              // [inputs][stride]
+  S* bias;                    // [stride]
+};
+
+template <class S> struct MlpFrame {
+  MlpShape shape;
+  MlpLayer<S> layer[kMlpHiddenLayers + 1];
+  bool has_exp;         // the output is exp(min(y, cap))
+  S cap, largest;       // and exp(cap)
+  const S* x;           // element (i, c) at i * x_row + c * x_column
+  int64_t x_row, x_column;
+  S* out;               // [points][outputs]
+  const S* v_out;       // [points][outputs]
+  S* v_x;               // [points][inputs], may be null
+};
+
+// Scalars of a thread's working memory, which must be aligned to 64 bytes.
+constexpr int64_t kMlpScratch =
+    int64_t(kMlpBlock) * (kMlpInputs + kHidden * (kMlpHiddenLayers + 2) + kMlpColumns + kMlpInputs);
+
+// Gradients of all layers' weights and biases in one run, laid out as MlpLayer's `weights` and `bias`.
+template <class S> struct MlpGrads {
+  S* weights[kMlpHiddenLayers + 1];
+  S* bias[kMlpHiddenLayers + 1];
+};
+
+template <class S> struct MlpKernels {
+  void (*forward)(const MlpFrame<S>&, int64_t begin, int64_t end, S* scratch);
+  void (*backward)(const MlpFrame<S>&, int64_t begin, int64_t end, S* scratch, const MlpGrads<S>& grads);
+};
+
+// Torch's own layouts: weights[l] is (outputs, inputs), one after the other.
+template <class S> struct MlpParameters {
+  S *weights[kMlpHiddenLayers + 1], *bias[kMlpHiddenLayers + 1];
+};
+
+template <class S> struct MlpPoints {
+  int64_t count;
+  const S* x;
+  int64_t x_row, x_column;
+  bool has_exp;
+  double cap;
+};
+
+template <class S>
+void mlp(const MlpShape& shape, const MlpPoints<S>& points, const MlpParameters<const S>& net, int threads, S* out);
+template <class S>
+void mlp_bwd(const MlpShape& shape, const MlpPoints<S>& points, const MlpParameters<const S>& net, int threads,
+             S* out, const S* v_out, S* v_x, const MlpParameters<S>& v_net);
+
+}  // namespace refdgs

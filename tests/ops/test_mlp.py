@@ -1,0 +1,147 @@
+"""The network against its definition and against finite differences."""
+
+import itertools
+from collections.abc import Callable
+
+import pytest
+import torch
+from torch import Tensor
+
+from refdgs_pipe.errors import DeviceError, ShapeError
+from refdgs_pipe.ops import mlp, reference_mlp
+
+
+def network(
+    inputs: int = 10, hidden: int = 3, outputs: int = 3
+) -> tuple[list[Tensor], list[Tensor]]:
+    g = torch.Generator().manual_seed(1)
+    widths = [inputs] + [64] * hidden + [outputs]
+
+    def normal(*shape: int) -> Tensor:
+        return torch.randn(*shape, generator=g, dtype=torch.float64)
+
+    weights = [normal(b, a) * (2 / a) ** 0.5 for a, b in itertools.pairwise(widths)]
+    return weights, [0.1 * normal(b) for b in widths[1:]]
+
+
+def points(count: int, inputs: int = 10) -> Tensor:
+    g = torch.Generator().manual_seed(2)
+    return torch.randn(count, inputs, generator=g, dtype=torch.float64)
+
+
+def pulled(
+    run: Callable[..., Tensor],
+    x: Tensor,
+    weights: list[Tensor],
+    biases: list[Tensor],
+    **options: float | None,
+) -> list[Tensor]:
+    """The outputs, and the gradients of a random combination of them."""
+    leaves = [t.detach().clone().requires_grad_() for t in (x, *weights, *biases)]
+    n = len(weights)
+    out = run(leaves[0], leaves[1 : n + 1], leaves[n + 1 :], **options)
+    g = torch.Generator().manual_seed(3)
+    pull = torch.randn(out.shape, generator=g, dtype=torch.float64).to(out.dtype)
+    (out * pull).sum().backward()
+    return [out.detach(), *(leaf.grad for leaf in leaves)]
+
+
+def single(
+    x: Tensor, net: tuple[list[Tensor], list[Tensor]]
+) -> tuple[Tensor, list[Tensor], list[Tensor]]:
+    return x.float(), [t.float() for t in net[0]], [t.float() for t in net[1]]
+
+
+@pytest.mark.parametrize("count", [1, 63, 64, 3000])
+@pytest.mark.parametrize("cap", [None, 0.5])
+def test_double_outputs_and_gradients_equal_the_reference(count: int, cap: float | None) -> None:
+    ours = pulled(mlp, points(count), *network(), exp_cap=cap)
+    theirs = pulled(reference_mlp.mlp, points(count), *network(), exp_cap=cap)
+    for a, b in zip(ours, theirs, strict=True):
+        torch.testing.assert_close(a, b, rtol=1e-9, atol=1e-10 * max(1.0, float(b.abs().max())))
+
+
+@pytest.mark.parametrize(
+    ("inputs", "hidden", "outputs"), [(1, 1, 1), (16, 2, 4), (17, 1, 2), (32, 8, 3)]
+)
+def test_other_widths_and_depths_equal_the_reference(
+    inputs: int, hidden: int, outputs: int
+) -> None:
+    x, net = points(130, inputs), network(inputs, hidden, outputs)
+    for a, b in zip(pulled(mlp, x, *net), pulled(reference_mlp.mlp, x, *net), strict=True):
+        torch.testing.assert_close(a, b, rtol=1e-9, atol=1e-10 * max(1.0, float(b.abs().max())))
+
+
+def test_gradients_equal_finite_differences() -> None:
+    weights, biases = network(inputs=2, hidden=1, outputs=2)
+    leaves = [t.requires_grad_() for t in (points(3, 2), *weights, *biases)]
+    assert torch.autograd.gradcheck(
+        lambda x, a, b, c, d: mlp(x, [a, b], [c, d], exp_cap=1.0), leaves, eps=1e-7, atol=1e-6
+    )
+
+
+def test_above_the_cap_there_is_no_gradient() -> None:
+    weights, biases = network()
+    biases[-1] = biases[-1] + 100
+    out, v_x, *v_net = pulled(mlp, points(70), weights, biases, exp_cap=5.0)
+    assert float(out.min()) == pytest.approx(float(torch.tensor(5.0).exp()), rel=1e-6)
+    assert all(float(g.abs().max()) == 0 for g in (v_x, *v_net))
+
+
+def test_float_agrees_with_double_within_its_rounding() -> None:
+    x, net = points(5000), network()
+    exact = pulled(mlp, x, *net, exp_cap=5.0)
+    rough = pulled(mlp, *single(x, net), exp_cap=5.0)
+    for a, b in zip(exact, rough, strict=True):
+        assert float((a - b.double()).norm() / a.norm()) < 1e-5
+
+
+def test_the_result_does_not_depend_on_the_number_of_threads() -> None:
+    arguments = single(points(20_000), network())
+    results = [pulled(mlp, *arguments, exp_cap=5.0, threads=threads) for threads in (1, 2, 7)]
+    for other in results[1:]:
+        assert all(torch.equal(a, b) for a, b in zip(results[0], other, strict=True))
+
+
+def test_any_strides_are_read_as_they_are() -> None:
+    x, net = points(100), network()
+    planes = x.T.contiguous().T
+    wide = torch.cat([x, x], 1)[:, 10:]
+    expected = mlp(x, *net)
+    assert torch.equal(mlp(planes, *net), expected) and torch.equal(mlp(wide, *net), expected)
+    flipped = [w.T.contiguous().T for w in net[0]]
+    assert torch.equal(mlp(x, flipped, net[1]), expected)
+
+
+def test_a_point_that_is_not_a_number_spoils_only_itself() -> None:
+    x, weights, biases = single(points(20), network())
+    x[3] = float("nan")
+    out = mlp(x, weights, biases, exp_cap=5.0)
+    assert bool(torch.isfinite(out[torch.arange(20) != 3]).all())
+    assert bool(out[3].isnan().all())
+
+
+def test_no_points_give_no_outputs_and_zero_gradients() -> None:
+    out, v_x, *v_net = pulled(mlp, points(0), *network())
+    assert out.shape == (0, 3) and v_x.shape == (0, 10)
+    assert all(float(g.abs().max()) == 0 for g in v_net)
+
+
+def test_wrong_sizes_are_named() -> None:
+    x, (weights, biases) = points(5), network()
+    with pytest.raises(ShapeError, match=r"x is \(5, 40\)"):
+        mlp(points(5, 40), weights, biases)
+    with pytest.raises(ShapeError, match=r"weights\[0\] is \(64, 10\): give \(64, 9\)"):
+        mlp(x[:, :9], weights, biases)
+    with pytest.raises(ShapeError, match=r"weights\[1\] is \(63, 64\)"):
+        mlp(x, [weights[0], weights[1][:63], *weights[2:]], biases)
+    with pytest.raises(ShapeError, match="has 5 outputs; at most 4"):
+        mlp(x, *network(outputs=5))
+    with pytest.raises(ShapeError, match=r"biases\[3\] is \(2,\): give \(3,\)"):
+        mlp(x, weights, [*biases[:3], biases[3][:2]])
+    with pytest.raises(ShapeError, match="4 weights and 3 biases"):
+        mlp(x, weights, biases[:3])
+    with pytest.raises(ShapeError, match=r"weights\[2\] is torch.float32"):
+        mlp(x, [*weights[:2], weights[2].float(), weights[3]], biases)
+    with pytest.raises(DeviceError, match="meta"):
+        mlp(x.to("meta"), weights, biases)
