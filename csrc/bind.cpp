@@ -74,6 +74,7 @@ void keep_freed_memory() {
 }  // namespace
 
 NB_MODULE(_refdgs_native, m) {
+  nb::set_leak_warnings(false);  // frames kept for reuse live until the process ends
   m.def("keep_freed_memory", &keep_freed_memory);
   m.def("isa", [] { return std::string(kernels().name); });
 #if defined(_OPENMP)

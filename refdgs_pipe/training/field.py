@@ -58,7 +58,7 @@ class TrainableField:
             )
             groups = [
                 {"params": [self.shader.environment], "lr": params.rate_environment},
-                {"params": list(self.shader.layers.parameters()), "lr": params.rate_shader},
+                {"params": [*self.shader.weights, *self.shader.biases], "lr": params.rate_shader},
             ]
             self.shader_optimizer = [torch.optim.Adam(groups, eps=1e-15, fused=True)]
             if params.local == "dual":
@@ -91,9 +91,7 @@ class TrainableField:
         p, cloud, opacity = self.params, None, START_OPACITY
         if masked and p.hull and all(photo.mask is not None for photo in photos):
             masks = [
-                photo.mask.numpy().astype(np.float32) / 255
-                for photo in photos
-                if photo.mask is not None
+                photo.mask.float().div(255).numpy() for photo in photos if photo.mask is not None
             ]
             cameras = [photo.camera for photo in photos]
             cloud = initial.hull_cloud(model.ball, cameras, masks, p.surfels, rng)
@@ -133,7 +131,8 @@ class TrainableField:
 
     def _inside(self, points: Tensor, margin: float = BALL_MARGIN) -> Tensor:
         center = torch.tensor(self.ball.center, dtype=points.dtype)
-        return (points - center).norm(dim=-1) <= margin * self.ball.radius
+        near: Tensor = (points - center).norm(dim=-1) <= margin * self.ball.radius
+        return near
 
     def set_rates(self, fraction: float) -> None:
         """Centres slow down log-linearly to 1/100 over the run."""
@@ -244,9 +243,8 @@ class TrainableField:
     def freeze(self) -> SurfelField:
         """The field as an artifact."""
         empty = np.zeros
-        nothing = SurfelSet(
-            *(empty(s, np.float32) for s in ((0, 3), (0, 4), (0, 2), (0,))), values={}
-        )
+        parts = [empty(s, np.float32) for s in ((0, 3), (0, 4), (0, 2), (0,))]
+        nothing = SurfelSet(parts[0], parts[1], parts[2], parts[3], {})
         p, s = self.params, self.shader
         model = ShaderModel(
             reflection=s is not None,
@@ -256,8 +254,8 @@ class TrainableField:
             environment=empty((0, 0, 4), np.float32)
             if s is None
             else s.environment.detach().numpy().copy(),
-            weights=() if s is None else tuple(x.weight.detach().numpy().copy() for x in s.layers),
-            biases=() if s is None else tuple(x.bias.detach().numpy().copy() for x in s.layers),
+            weights=() if s is None else tuple(w.detach().numpy().copy() for w in s.weights),
+            biases=() if s is None else tuple(b.detach().numpy().copy() for b in s.biases),
         )
         local = nothing if self.local is None else self.local.freeze()
         background = nothing if self.background is None else self.background.freeze()

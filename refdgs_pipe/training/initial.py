@@ -1,12 +1,12 @@
-"""Where surfels start: on the visual hull of the masks, at sparse points, or anywhere in the ball."""
+"""Where surfels start: on the visual hull of the masks, at sparse points, or in the ball."""
 
 import math
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 from torch import Tensor
 
 from refdgs_pipe.artifacts.sparse_model import Ball
@@ -21,7 +21,7 @@ SKY_DISTANCE = 8.0  # of the farthest camera from the ball, in their distance
 
 @dataclass(frozen=True)
 class Cloud:
-    """Oriented discs to start from: points (N, 3), normals (N, 3) unit, sizes (N,), colors (N, 3)."""
+    """Discs to start from: points (N, 3), unit normals (N, 3), sizes (N,), colors (N, 3) sRGB."""
 
     points: F64
     normals: F64
@@ -68,7 +68,7 @@ def _surface(
     smooth = grid
     for axis in range(3):
         smooth = _blurred(smooth, axis)
-    gradient = np.stack(np.gradient(smooth), -1)
+    gradient = np.stack([np.gradient(smooth, axis=axis) for axis in range(3)], -1)
     picked = shell[rng.choice(len(shell), count, replace=len(shell) < count)]
     normals = -gradient[tuple(picked.T)].astype(np.float64)
     normals += 1e-6 * rng.normal(size=normals.shape)
@@ -81,10 +81,10 @@ def _surface(
 
 def _blurred(values: F32, axis: int) -> F32:
     """A 5-tap binomial blur along one axis."""
-    out = 6 * values
+    out = np.float32(6) * values
     for shift, weight in ((1, 4), (2, 1)):
         out = out + weight * (np.roll(values, shift, axis) + np.roll(values, -shift, axis))
-    return out / 16
+    return np.asarray(out / 16, np.float32)
 
 
 def ball_cloud(ball: Ball, count: int, rng: np.random.Generator, *, share: float = 1.0) -> Cloud:
@@ -136,9 +136,9 @@ def neighbour_sizes(points: F64) -> F64:
     """(N,) 0.5 of the root mean squared distance to the three nearest neighbours."""
     if len(points) < 4:
         return np.full(len(points), 0.01)
-    index = cv2.flann_Index(points.astype(np.float32), {"algorithm": 1, "trees": 1})
-    _, squared = index.knnSearch(points.astype(np.float32), 4, params={"checks": 64})
-    sizes = 0.5 * np.sqrt(np.maximum(squared[:, 1:].mean(1), 1e-14))
+    tree = KDTree(points)
+    distances, _ = tree.query(points, k=4)
+    sizes = 0.5 * np.sqrt(np.maximum((distances[:, 1:] ** 2).mean(1), 1e-14))
     return np.asarray(np.minimum(sizes, 8 * np.median(sizes)), np.float64)
 
 

@@ -91,4 +91,4 @@ def composited(photo: TrainingPhoto, backdrop: Tensor) -> Tensor:
 
 
 def _bytes(image: NDArray[np.float32]) -> NDArray[np.uint8]:
-    return np.rint(image.clip(0, 1) * 255).astype(np.uint8)
+    return np.asarray(np.rint(image.clip(0, 1) * 255), np.uint8)

@@ -1,11 +1,38 @@
 """Far and near reflections of a pixel: the Sph-Mip lookup, the mixing, the shader."""
 
+from typing import Any
+
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
-from refdgs_pipe.ops import sph_mip
+from refdgs_pipe.ops import mlp, sph_mip
 from refdgs_pipe.training.surfels import Shader
+
+RADIANCE_EXPONENT = 5.0  # specular radiance is at most e^5
+
+
+class _ClipThatPullsDown(torch.autograd.Function):
+    """min(x, limit); above the limit a gradient passes only if it lowers x.
+
+    So a highlight that is too bright for its photo comes back, and one that the photo clips is not
+    pushed up without end.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, limit: float) -> Tensor:
+        ctx.save_for_backward(x > limit)
+        return x.clamp(max=limit)
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None]:
+        (over,) = ctx.saved_tensors
+        return torch.where(over & (grads[0] < 0), 0.0, grads[0]), None
+
+
+def clip(x: Tensor, limit: float) -> Tensor:
+    """min(x, limit) whose gradient above the limit only pulls down."""
+    out: Tensor = _ClipThatPullsDown.apply(x, limit)  # type: ignore[no-untyped-call]
+    return out
 
 
 def specular(
@@ -25,7 +52,5 @@ def specular(
         parts = [far + near] if shader.mixing == "sum" else [far, near]
     if shader.physical:
         parts += [roughness[:, None], cosine[:, None]]
-    x = torch.cat(parts, -1)
-    for layer in shader.layers[:-1]:
-        x = F.relu(layer(x))
-    return torch.exp(shader.layers[-1](x).clamp(max=5.0))
+    exponent = mlp(torch.cat(parts, -1), list(shader.weights), list(shader.biases))
+    return torch.exp(clip(exponent, RADIANCE_EXPONENT))

@@ -107,9 +107,10 @@ def _shader(field: SurfelField) -> Shader | None:
     shader = Shader(len(model.environment), model.local, model.mixing, model.physical)
     with torch.no_grad():
         shader.environment.copy_(torch.from_numpy(model.environment))
-        for layer, w, b in zip(shader.layers, model.weights, model.biases, strict=True):
-            layer.weight.copy_(torch.from_numpy(w))
-            layer.bias.copy_(torch.from_numpy(b))
+        for target, value in zip(
+            [*shader.weights, *shader.biases], [*model.weights, *model.biases], strict=True
+        ):
+            target.copy_(torch.from_numpy(value))
     return shader
 
 

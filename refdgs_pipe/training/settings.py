@@ -1,4 +1,4 @@
-"""Every setting of a training run. Times are fractions of the run, so that a recipe can scale it."""
+"""Every setting of a training run. Times are fractions of the run: a recipe can scale it."""
 
 from typing import Literal
 
@@ -25,7 +25,7 @@ class TrainParams(Params):
     reflection: bool = Field(True, description="false: diffuse colour only, the matte control")
     local: Literal["none", "shared", "dual"] = Field(
         "dual",
-        description="near-field reflection features: none, on the geometry surfels, or on their own",
+        description="near-field reflection features: none, on geometry surfels, or on their own",
     )
     mixing: Literal["adaptive", "sum"] = Field(
         "adaptive", description="the shader sees far and near features side by side, or their sum"
@@ -78,7 +78,7 @@ class TrainParams(Params):
     rate_opacities: float = Field(0.05, gt=0, le=1, description="step of raw opacities")
     rate_scales: float = Field(0.005, gt=0, le=1, description="step of log scales")
     rate_quats: float = Field(0.001, gt=0, le=1, description="step of quaternions")
-    rate_diffuse: float = Field(0.002, gt=0, le=1, description="step of raw diffuse colour")
+    rate_diffuse: float = Field(0.01, gt=0, le=1, description="step of raw diffuse colour")
     rate_roughness: float = Field(0.002, gt=0, le=1, description="step of raw roughness")
     rate_features: float = Field(0.002, gt=0, le=1, description="step of local features")
     rate_environment: float = Field(0.002, gt=0, le=1, description="step of the Sph-Mip map")

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from refdgs_pipe.ops import Maps, Pinhole, ScreenStatistics, Surfels, rasterize
 from refdgs_pipe.ops.rasterize import Extra
-from refdgs_pipe.training.reflection import specular
+from refdgs_pipe.training.reflection import clip, specular
 from refdgs_pipe.training.surfels import Shader
 
 SHADED_ALPHA = 0.05  # thinner pixels show no object
@@ -60,15 +60,10 @@ class Picture:
     local_statistics: ScreenStatistics | None
 
 
-def srgb_with_gradient(linear: Tensor) -> Tensor:
-    """The sRGB curve clipped to [0, 1]; above 1 the gradient is the curve's slope at 1.
-
-    A clipped highlight can so still be pulled down when the photo is darker.
-    """
-    x = linear.clamp(1e-6, 1.0)
-    y = torch.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
-    over = (linear - linear.clamp(max=1.0)) * (1.055 / 2.4)
-    return y + over - over.detach()
+def srgb_of(linear: Tensor) -> Tensor:
+    """The sRGB curve, clipped to [0, 1]."""
+    x = clip(linear, 1.0).clamp(min=1e-6)
+    return torch.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
 
 
 def sh_color(sh: Tensor, directions: Tensor) -> Tensor:
@@ -85,7 +80,8 @@ def sh_color(sh: Tensor, directions: Tensor) -> Tensor:
 
 def normalized(vectors: Tensor) -> Tensor:
     """Unit vectors along the last axis; zero stays zero."""
-    return vectors * torch.rsqrt((vectors * vectors).sum(-1, keepdim=True) + 1e-16)
+    unit: Tensor = vectors * torch.rsqrt((vectors * vectors).sum(-1, keepdim=True) + 1e-16)
+    return unit
 
 
 def pixel_rays(camera: Pinhole) -> Tensor:
@@ -174,7 +170,7 @@ def draw(
         flat = values.new_zeros(height * width, values.shape[1]).index_copy(0, covered, values)
         return flat.reshape(height, width, -1)
 
-    shaded = spread(srgb_with_gradient(diffuse + radiance))
+    shaded = spread(srgb_of(diffuse + radiance))
     image = object_alpha[..., None] * shaded + (1 - maps.alpha)[..., None] * backdrop
     if has_background:
         image = image + maps.features[..., inside_at + 1 : inside_at + 4]

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
@@ -27,7 +28,7 @@ class TrainableSet:
     """One set of surfels in optimised form, with its Adam state and densification statistics.
 
     `raw` maps names to leaf tensors of equal length: means (N, 3), quats (N, 4), log_scales
-    (N, 2), raw_opacities (N,) and what the surfels carry (raw_diffuse, raw_roughness, features, sh).
+    (N, 2), raw_opacities (N,) and what the surfels carry: raw_diffuse, raw_roughness, features, sh.
     """
 
     def __init__(self, raw: dict[str, Tensor], rates: dict[str, float]) -> None:
@@ -103,11 +104,10 @@ class TrainableSet:
             name = group["name"]
             new = state[f"raw.{name}"].clone().requires_grad_()
             self.optimizer.state.pop(group["params"][0], None)
-            moments = {k: state.get(f"adam.{name}.{k}") for k in ("step", "exp_avg", "exp_avg_sq")}
-            if all(m is not None for m in moments.values()):
-                self.optimizer.state[new] = {
-                    k: m.clone() for k, m in moments.items() if m is not None
-                }
+            keys = ("step", "exp_avg", "exp_avg_sq")
+            moments = {k: state[f"adam.{name}.{k}"] for k in keys if f"adam.{name}.{k}" in state}
+            if moments:
+                self.optimizer.state[new] = {k: m.clone() for k, m in moments.items()}
             group["params"][0] = new
             self.raw[name] = new
 
@@ -120,8 +120,10 @@ class TrainableSet:
                 for name, activated in _carried(self.raw).items()
             }
             quats = s.quats / s.quats.norm(dim=-1, keepdim=True)
-            parts = (s.means, quats, s.scales, s.opacities)
-            return SurfelSet(*(p.numpy().copy() for p in parts), values=values)
+            means, quats, scales, opacities = (
+                p.numpy().copy() for p in (s.means, quats, s.scales, s.opacities)
+            )
+            return SurfelSet(means, quats, scales, opacities, values)
 
 
 def _carried(raw: dict[str, Tensor]) -> dict[str, Tensor]:
@@ -156,6 +158,9 @@ class DensityRules:
 def densify(group: TrainableSet, rules: DensityRules, keep: Tensor, rng: torch.Generator) -> None:
     """Clone and split where the image pulls hardest; remove the faint, the huge and the not `keep`.
 
+    A surfel and its clone share the opacity, so that together they hide as much as one did before
+    (Rota Bulo et al. 2024); else every clone of a faint local surfel would double its light.
+
     Args:
         keep: (N,) bool from the caller, such as inside the object ball.
     """
@@ -185,7 +190,10 @@ def densify(group: TrainableSet, rules: DensityRules, keep: Tensor, rng: torch.G
             scales[-len(halves) :] -= math.log(1.6)
         fresh = torch.zeros(len(source), dtype=torch.bool)
         fresh[len(kept) :] = True
-        group.rebuild(source, {"means": means, "log_scales": scales}, fresh)
+        halved = torch.where(wanted & ~split, 1 - torch.sqrt(1 - opacity), opacity)
+        opacities = torch.logit(halved.clamp(1e-6, 1 - 1e-6))[source]
+        changed = {"means": means, "log_scales": scales, "raw_opacities": opacities}
+        group.rebuild(source, changed, fresh)
 
 
 def step_all(
@@ -210,6 +218,7 @@ class Shader(nn.Module):
         self.local, self.mixing, self.physical = local, mixing, physical
         inputs = 4 + (4 if mixing == "adaptive" and local != "none" else 0) + (2 if physical else 0)
         self.environment = nn.Parameter(torch.zeros(height, 2 * height, 4))
-        sizes = [inputs, 64, 64, 64, 3]
-        self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in zip(sizes, sizes[1:], strict=False))
-        nn.init.constant_(self.layers[-1].bias, math.log(0.25))  # type: ignore[arg-type]
+        layers = [nn.Linear(a, b) for a, b in pairwise([inputs, 64, 64, 64, 3])]
+        nn.init.constant_(layers[-1].bias, math.log(0.25))
+        self.weights = nn.ParameterList(layer.weight for layer in layers)
+        self.biases = nn.ParameterList(layer.bias for layer in layers)

@@ -16,6 +16,7 @@ from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.errors import Cancelled, TrainingError
 from refdgs_pipe.ops import image_loss
 from refdgs_pipe.ops.native import keep_freed_memory
+from refdgs_pipe.ops.rasterize import Extra
 from refdgs_pipe.training import losses
 from refdgs_pipe.training.checkpoint import read_checkpoint, write_checkpoint
 from refdgs_pipe.training.field import TrainableField
@@ -65,7 +66,8 @@ class Trainer:
             while self.iteration < total:
                 self.step()
                 if self.iteration % REPORT_STEPS == 0:
-                    note = f"loss {self.loss:.4f}  PSNR {self.psnr:.2f} dB  {len(self.field.geometry)} surfels"
+                    count = len(self.field.geometry)
+                    note = f"loss {self.loss:.4f}  PSNR {self.psnr:.2f} dB  {count} surfels"
                     progress(self.iteration, total, note)
                 if time.monotonic() - saved > CHECKPOINT_SECONDS:
                     self.save()
@@ -82,12 +84,12 @@ class Trainer:
         photo = self._photo(fraction)
         self.field.set_rates(fraction)
         backdrop = torch.rand(3, generator=self.rng) if self.masked else torch.zeros(3)
-        extra = "distortion" if p.distortion_weight > 0 else "depth"
+        extra: Extra = "distortion" if p.distortion_weight > 0 else "depth"
         picture = draw(
             self.field.scene(photo.pinhole, fraction), photo.pinhole, backdrop, extra=extra
         )
         loss = self._loss(picture, photo, backdrop)
-        loss.backward()
+        loss.backward()  # type: ignore[no-untyped-call]
         self._note(loss, picture, photo, backdrop)
         self.field.observe(picture, photo.pinhole.width)
         self.field.step()
@@ -129,8 +131,8 @@ class Trainer:
         value = float(loss.detach())
         if not math.isfinite(value):
             raise TrainingError(
-                f"training diverged at step {self.iteration + 1}: the loss is {value}. The last good "
-                "checkpoint is kept; lower train.rate_means or change train.seed and run again"
+                f"training diverged at step {self.iteration + 1}: the loss is {value}. The last "
+                "good checkpoint is kept; lower train.rate_means or change train.seed and run again"
             )
         with torch.no_grad():
             error = (picture.image - composited(photo, backdrop)).square().mean()
