@@ -1,0 +1,125 @@
+"""The product as its user meets it: a capture in, an asset out, from the real command line.
+
+The settings are far too small for a good result; they run every stage in seconds.
+"""
+
+import json
+import os
+import random
+import signal
+import struct
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+from scenes import glossy_pair, orbit
+
+SMALL = {
+    "train.iterations": 40,
+    "train.surfels": 1500,
+    "train.max_surfels": 2000,
+    "train.local_surfels": 500,
+    "train.max_local_surfels": 600,
+    "train.environment_height": 16,
+    "extract.voxel": 0.02,
+    "extract.pixels": 128,
+    "clean.faces": 2000,
+    "bake.size": 128,
+    "export.preview": 64,
+}
+FILES = {"asset.glb", "asset.usdz", "asset.usdc", "asset.obj", "splats.ply", "preview.png"}
+
+
+def write_capture(folder: Path, *, count: int = 24, size: int = 64) -> Path:
+    """A data set with known poses of the procedural scene: every fourth view held out."""
+    scene, frames = glossy_pair(), {"train": list[Any](), "test": list[Any]()}
+    for i, camera in enumerate(orbit(count, size=size, focal=size * 1.4)):
+        maps = scene.surface_map(camera)
+        split = "test" if i % 4 == 3 else "train"
+        rgba = np.concatenate([maps.color, maps.alpha[..., None]], -1)
+        (folder / split).mkdir(parents=True, exist_ok=True)
+        Image.fromarray(np.round(rgba * 255).astype(np.uint8)).save(folder / split / f"r_{i}.png")
+        pose = camera.world_from_cam @ np.diag([1.0, -1.0, -1.0, 1.0])
+        record = {"file_path": f"./{split}/r_{i}", "transform_matrix": pose.tolist()}
+        frames[split].append(record)
+    angle = 2 * np.arctan(0.5 / 1.4)
+    for split, records in frames.items():
+        text = json.dumps({"camera_angle_x": angle, "frames": records})
+        (folder / f"transforms_{split}.json").write_text(text)
+    return folder
+
+
+def start(*arguments: str, **settings: Any) -> subprocess.Popen[str]:
+    chosen = SMALL | {key.replace("__", "."): value for key, value in settings.items()}
+    sets = [part for item in chosen.items() for part in ("--set", "{}={}".format(*item))]
+    paths = os.pathsep.join(path for path in sys.path if path)
+    return subprocess.Popen(
+        [sys.executable, "-m", "refdgs_pipe.cli.app", *arguments, *sets],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONPATH": paths},
+    )
+
+
+def run(*arguments: str, **settings: Any) -> Any:
+    process = start(*arguments, "--json", **settings)
+    out, err = process.communicate()
+    assert process.returncode == 0, out + err
+    return json.loads(out)
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    files = (path for path in folder.rglob("*") if path.is_file())
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
+
+
+def test_a_capture_becomes_an_asset_and_only_what_changed_is_made_again(tmp_path: Path) -> None:
+    photos = str(write_capture(tmp_path / "photos"))
+    record = run("run", photos)
+    asset = tmp_path / "photos.refdgs" / "asset"
+    assert record["asset"] == str(asset)
+    assert set(record["files"]) >= FILES
+    magic, version, length = struct.unpack("<4sII", (asset / "asset.glb").read_bytes()[:12])
+    assert (magic, version) == (b"glTF", 2)
+    assert length == record["files"]["asset.glb"]
+    assert (asset / "asset.usdz").read_bytes()[:2] == b"PK"
+    assert run("run", photos)["made"] == []
+    followers = ["extract", "clean", "unwrap", "bake", "export"]
+    again = run("run", photos, extract__voxel=0.025)["made"]
+    assert [name for name in again if name != "evaluate"] == followers
+    assert run("run", photos)["made"] == []
+
+
+@pytest.mark.slow
+def test_killed_at_50_random_moments_the_real_pipeline_ends_with_the_same_result(
+    tmp_path: Path,
+) -> None:
+    photos = str(write_capture(tmp_path / "photos"))
+    undisturbed, work = tmp_path / "undisturbed", tmp_path / "work"
+    started = time.monotonic()
+    run("run", photos, "-w", str(undisturbed), "--threads", "1")
+    whole_s = time.monotonic() - started
+    chance = random.Random(0)
+    for _ in range(50):
+        process = start("run", photos, "-w", str(work), "--threads", "1")
+        try:
+            process.communicate(timeout=1 + chance.random() * whole_s / 4)
+        except subprocess.TimeoutExpired:
+            process.send_signal(signal.SIGKILL)
+            process.communicate()
+        else:  # it came to the end: begin with some stage again
+            assert process.returncode == 0
+            assert content(work / "asset") == content(undisturbed / "asset")
+            stage = chance.choice(["ingest", "sfm", "train", "extract", "clean", "unwrap", "bake"])
+            process = start("run", photos, "-w", str(work), "--threads", "1", "--from", stage)
+            time.sleep(1 + chance.random() * whole_s / 2)
+            process.send_signal(signal.SIGKILL)
+            process.communicate()
+    run("run", photos, "-w", str(work), "--threads", "1")
+    assert content(work / "asset") == content(undisturbed / "asset")
