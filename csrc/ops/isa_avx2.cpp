@@ -1,6 +1,7 @@
 // The kernels compiled for avx2. Only C headers here: a std:: template instantiated with these flags could
 // be the copy that the linker keeps for everyone.
 #include <math.h>
+#include <stddef.h>
 #include <stdint.h>
 #if defined(__x86_64__)
 #include <immintrin.h>

@@ -67,15 +67,15 @@ def test_a_least_level_keeps_finer_ones_out() -> None:
 
 def test_gradients_equal_finite_differences() -> None:
     """Away from texel borders, level borders and the poles, where the function has kinks."""
-    base = random_map(8, 16)
+    base = random_map(4, 8)
     g = torch.Generator().manual_seed(2)
-    v = (torch.randint(0, 7, (20,), generator=g) + 0.6 + 0.3 * torch.rand(20, generator=g)) / 8
-    u = (torch.randint(0, 16, (20,), generator=g) + 0.6 + 0.3 * torch.rand(20, generator=g)) / 16
+    v = (torch.randint(0, 3, (6,), generator=g) + 0.6 + 0.3 * torch.rand(6, generator=g)) / 4
+    u = (torch.randint(0, 8, (6,), generator=g) + 0.6 + 0.3 * torch.rand(6, generator=g)) / 8
     theta, phi = (v * math.pi).double(), (u * 2 * math.pi).double()
     directions = torch.stack([theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos()], -1)
-    roughness = torch.full((20,), 0.1, dtype=torch.float64)
+    roughness = torch.full((6,), 0.3, dtype=torch.float64)
     leaves = [t.requires_grad_() for t in (base, directions, roughness)]
-    assert torch.autograd.gradcheck(sph_mip, leaves, eps=1e-6, atol=1e-6)
+    assert torch.autograd.gradcheck(lambda *t: sph_mip(*t, threads=1), leaves, eps=1e-6)
 
 
 def test_texel_centres_return_texels() -> None:
