@@ -89,13 +89,15 @@ class TrainableField:
         rng: np.random.Generator,
     ) -> dict[str, Tensor]:
         p, cloud, opacity = self.params, None, START_OPACITY
-        if masked and p.hull and all(photo.mask is not None for photo in photos):
+        if masked and p.start != "ball" and all(photo.mask is not None for photo in photos):
             masks = [
                 photo.mask.float().div(255).numpy() for photo in photos if photo.mask is not None
             ]
             cameras = [photo.camera for photo in photos]
-            cloud = initial.hull_cloud(model.ball, cameras, masks, p.surfels, rng)
-            opacity = HULL_OPACITY
+            cloud = initial.hull_cloud(
+                model.ball, cameras, masks, p.surfels, rng, filled=p.start == "volume"
+            )
+            opacity = HULL_OPACITY if p.start == "hull" else START_OPACITY
         if cloud is None:
             cloud, opacity = initial.ball_cloud(model.ball, p.surfels, rng), START_OPACITY
             inside = self._inside(torch.from_numpy(model.points)).numpy()

@@ -30,12 +30,19 @@ class Cloud:
 
 
 def hull_cloud(
-    ball: Ball, cameras: list[Camera], masks: list[F32], count: int, rng: np.random.Generator
+    ball: Ball,
+    cameras: list[Camera],
+    masks: list[F32],
+    count: int,
+    rng: np.random.Generator,
+    *,
+    filled: bool = False,
 ) -> Cloud | None:
     """Discs on the visual hull, or None if the masks leave nothing.
 
     Args:
         masks: (H, W) in [0, 1] for each camera, at its size.
+        filled: throughout the hull, turned at random, instead of on its surface.
     """
     n = HULL_CELLS
     ticks = ((np.arange(n) + 0.5) / n * 2 - 1) * ball.radius * 1.05
@@ -53,6 +60,13 @@ def hull_cloud(
         alive = alive[misses[alive] <= allowed]
     if len(alive) < 50:
         return None
+    if filled:
+        picked = rng.choice(alive, count, replace=len(alive) < count)
+        index = np.stack([picked // (n * n), picked // n % n, picked % n], -1)
+        points = ball.center + ticks[index] + cell * (rng.random((count, 3)) - 0.5)
+        normals = rng.normal(size=(count, 3))
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        return Cloud(points, normals, neighbour_sizes(points), np.full((count, 3), 0.3))
     grid = np.zeros(n**3, np.float32)
     grid[alive] = 1
     return _surface(grid.reshape(n, n, n), ticks, cell, ball, count, rng)

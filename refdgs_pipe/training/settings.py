@@ -100,4 +100,8 @@ class TrainParams(Params):
         le=10,
         description="weight of normal smoothness away from diffuse and depth edges",
     )
-    hull: bool = Field(True, description="start on the masks' visual hull where there are masks")
+    start: Literal["hull", "volume", "ball"] = Field(
+        "volume",
+        description="where surfels start when there are masks: on their visual hull, throughout it, "
+        "or throughout the object ball",
+    )
