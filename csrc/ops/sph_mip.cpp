@@ -11,7 +11,7 @@ namespace refdgs {
 namespace {
 
 constexpr int64_t kChunk = 2048;       // directions of one task
-constexpr int64_t kSmallLevel = 8192;  // texels below which a level is not worth a second thread
+constexpr int64_t kSmallLevel = 65536;  // texels below which a level is not worth waiting for other threads
 
 SphMipKernels<float> lookup_kernels(float) { return kernels().sph_mip; }
 SphMipKernels<double> lookup_kernels(double) { return sph_mip_kernels_double(); }
