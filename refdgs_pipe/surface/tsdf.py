@@ -96,7 +96,18 @@ class Volume:
                 f"{self.views} views were fused but no surface is seen by {min_views} of them: "
                 "lower extract.min_views or make extract.voxel larger"
             )
-        return RawMesh(vertices, faces)
+        return RawMesh(*_ordered(vertices, faces))
+
+
+def _ordered(vertices: F32, faces: NDArray[np.int32]) -> tuple[F32, NDArray[np.int32]]:
+    """The same mesh in an order that its shape alone decides; threads decide open3d's."""
+    order = np.lexsort(vertices.T)
+    rank = np.empty(len(order), np.int32)
+    rank[order] = np.arange(len(order), dtype=np.int32)
+    faces = rank[faces]
+    first = faces.argmin(1)[:, None]
+    faces = np.take_along_axis(faces, (first + np.arange(3)) % 3, 1)  # same way round
+    return vertices[order], faces[np.lexsort(faces.T)]
 
 
 def usable_depth(
