@@ -30,7 +30,7 @@ pip="$venv/bin/python -m pip install --disable-pip-version-check -q -c constrain
 if [ -e /proc/driver/nvidia/version ]; then
     $pip torch
 else # without a GPU the build without CUDA is enough, and gigabytes smaller
-    $pip --retries 1 --extra-index-url https://download.pytorch.org/whl/cpu torch
+    $pip --retries 1 --extra-index-url https://download.pytorch.org/whl/cpu --no-deps torch
 fi
 $pip scikit-build-core nanobind cmake ninja
 if [ "${1:-}" = --dev ]; then

@@ -74,9 +74,13 @@ def run(*arguments: str, **settings: Any) -> Any:
     return json.loads(out)
 
 
-def content(folder: Path) -> dict[str, bytes]:
-    files = (path for path in folder.rglob("*") if path.is_file())
-    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
+def digests(record: Any) -> dict[str, str]:
+    """The content of every result that does not depend on UVAtlas, which draws lots."""
+    folders = {stage["stage"]: Path(stage["folder"]) for stage in record["stages"]}
+    return {
+        name: json.loads((folders[name] / "manifest.json").read_text())["digest"]
+        for name in ("ingest", "sfm", "train", "extract", "clean", "evaluate")
+    }
 
 
 def test_a_capture_becomes_an_asset_and_only_what_changed_is_made_again(tmp_path: Path) -> None:
@@ -97,29 +101,29 @@ def test_a_capture_becomes_an_asset_and_only_what_changed_is_made_again(tmp_path
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 def test_killed_at_50_random_moments_the_real_pipeline_ends_with_the_same_result(
     tmp_path: Path,
 ) -> None:
     photos = str(write_capture(tmp_path / "photos"))
-    undisturbed, work = tmp_path / "undisturbed", tmp_path / "work"
-    started = time.monotonic()
-    run("run", photos, "-w", str(undisturbed), "--threads", "1")
-    whole_s = time.monotonic() - started
+    work = str(tmp_path / "work")
+    begun = time.monotonic()
+    undisturbed = run("run", photos, "-w", str(tmp_path / "undisturbed"))
+    whole_s = time.monotonic() - begun
     chance = random.Random(0)
+    options: list[str] = []
     for _ in range(50):
-        process = start("run", photos, "-w", str(work), "--threads", "1")
+        process = start("run", photos, "-w", work, *options)
+        options = []
         try:
-            process.communicate(timeout=1 + chance.random() * whole_s / 4)
+            process.communicate(timeout=0.5 + chance.random() * whole_s / 3)
         except subprocess.TimeoutExpired:
             process.send_signal(signal.SIGKILL)
             process.communicate()
-        else:  # it came to the end: begin with some stage again
+        else:  # it came to the end: let the next one begin with some stage again
             assert process.returncode == 0
-            assert content(work / "asset") == content(undisturbed / "asset")
-            stage = chance.choice(["ingest", "sfm", "train", "extract", "clean", "unwrap", "bake"])
-            process = start("run", photos, "-w", str(work), "--threads", "1", "--from", stage)
-            time.sleep(1 + chance.random() * whole_s / 2)
-            process.send_signal(signal.SIGKILL)
-            process.communicate()
-    run("run", photos, "-w", str(work), "--threads", "1")
-    assert content(work / "asset") == content(undisturbed / "asset")
+            options = ["--from", chance.choice(list(digests(undisturbed)))]
+    last = run("run", photos, "-w", work)
+    assert digests(last) == digests(undisturbed)
+    assert set(last["files"]) == set(undisturbed["files"])
+    assert run("run", photos, "-w", work)["made"] == []
