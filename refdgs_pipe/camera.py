@@ -42,7 +42,7 @@ class Camera:
     @property
     def center(self) -> F64:
         """(3,) position in the world."""
-        return self.world_from_cam[:3, 3]
+        return np.asarray(self.world_from_cam[:3, 3], np.float64)
 
     def resized(self, width: int, height: int) -> "Camera":
         """The same camera for an image resampled to another size."""
@@ -108,4 +108,4 @@ class Lens:
 def opencv_from_opengl(world_from_cam: F64) -> F64:
     """cam_from_world (OpenCV) of an OpenGL camera-to-world matrix (x right, y up, looks along -z)."""
     flipped = world_from_cam @ np.diag([1.0, -1.0, -1.0, 1.0])
-    return np.linalg.inv(flipped)
+    return np.asarray(np.linalg.inv(flipped), np.float64)

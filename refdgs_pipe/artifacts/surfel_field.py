@@ -139,8 +139,10 @@ class SurfelField:
                 tuple(arrays[f"shader.{i}.weight"] for i in layers),
                 tuple(arrays[f"shader.{i}.bias"] for i in layers),
             )
-            sets = [_set(arrays, name) for name in ("geometry", "local", "background")]
-            return cls(*sets, shader, float(record["near"]))
+            geometry, local, background = (
+                _set(arrays, name) for name in ("geometry", "local", "background")
+            )
+            return cls(geometry, local, background, shader, float(record["near"]))
         except (OSError, KeyError, ValueError, SafetensorError) as error:
             raise CorruptError(
                 f"{folder}: not a readable surfel field ({error}): run the train stage again"

@@ -17,10 +17,12 @@ def depth_normals(depth: Tensor, camera: Pinhole) -> Tensor:
     points = torch.stack([x * depth, y * depth, depth])
     right = points[:, 1:-1, 2:] - points[:, 1:-1, :-2]
     down = points[:, 2:, 1:-1] - points[:, :-2, 1:-1]
-    normal = torch.linalg.cross(down, right, dim=0)
-    normal = normal * torch.rsqrt((normal * normal).sum(0, keepdim=True) + 1e-24)
-    world = torch.einsum("ij,ihw->hwj", camera.cam_from_world[:3, :3], normal)
-    return torch.nn.functional.pad(world, (0, 0, 1, 1, 1, 1))
+    (ax, ay, az), (bx, by, bz) = down, right
+    x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    normal = torch.stack([x, y, z]) * torch.rsqrt(x * x + y * y + z * z + 1e-24)
+    world = camera.cam_from_world[:3, :3].T @ normal.flatten(1)
+    padded = torch.nn.functional.pad(world.reshape(normal.shape), (1, 1, 1, 1))
+    return padded.permute(1, 2, 0)
 
 
 def normal_consistency(normal: Tensor, depth: Tensor, alpha: Tensor, camera: Pinhole) -> Tensor:

@@ -57,10 +57,10 @@ def shrunk(photo: TrainingPhoto, scale: float) -> TrainingPhoto:
         return photo
     width = max(16, round(photo.camera.width * scale))
     height = max(16, round(photo.camera.height * scale))
-    rgb = photo.rgb.permute(1, 2, 0).numpy().astype(np.float32)
+    rgb: NDArray[np.float32] = photo.rgb.permute(1, 2, 0).float().numpy()
     mask = None if photo.mask is None else photo.mask.numpy().astype(np.float32)
     if mask is not None:
-        rgb = rgb * (mask[..., None] / 255)
+        rgb = rgb * (mask[..., None] / np.float32(255))
     rgb = cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA)
     small = None
     if mask is not None:

@@ -102,6 +102,6 @@ class TrainParams(Params):
     )
     start: Literal["hull", "volume", "ball"] = Field(
         "volume",
-        description="where surfels start when there are masks: on their visual hull, throughout it, "
-        "or throughout the object ball",
+        description="where surfels start when there are masks: on their visual hull, throughout "
+        "it, or throughout the object ball",
     )

@@ -75,13 +75,14 @@ def sh_color(sh: Tensor, directions: Tensor) -> Tensor:
     c = sh.reshape(-1, 4, 3)
     x, y, z = directions.unbind(-1)
     basis = torch.stack([-_SH1 * y, _SH1 * z, -_SH1 * x], -1)
-    return (0.28209479177387814 * c[:, 0] + (basis[..., None] * c[:, 1:]).sum(1) + 0.5).clamp(min=0)
+    color: Tensor = 0.28209479177387814 * c[:, 0] + (basis[..., None] * c[:, 1:]).sum(1) + 0.5
+    return color.clamp(min=0)
 
 
 def normalized(vectors: Tensor) -> Tensor:
     """Unit vectors along the last axis; zero stays zero."""
-    unit: Tensor = vectors * torch.rsqrt((vectors * vectors).sum(-1, keepdim=True) + 1e-16)
-    return unit
+    x, y, z = vectors.unbind(-1)
+    return vectors * torch.rsqrt(x * x + y * y + z * z + 1e-16)[..., None]
 
 
 def pixel_rays(camera: Pinhole) -> Tensor:
@@ -141,53 +142,71 @@ def draw(
     inside_at = 8 if scene.shared_features is not None else 4
     has_background = scene.background is not None
     object_alpha = maps.features[..., inside_at] if has_background else maps.alpha
-    height, width = object_alpha.shape
-    covered = torch.nonzero(object_alpha.detach().reshape(-1) > SHADED_ALPHA).flatten()
-
-    def at(image: Tensor) -> Tensor:
-        return image.reshape(height * width, -1).index_select(0, covered)
-
-    weight = 1 / at(object_alpha)
     assert maps.normal is not None and maps.depth is not None
-    normal = normalized(at(maps.normal))
-    diffuse, roughness = (
-        at(maps.features[..., :3]) * weight,
-        (at(maps.features[..., 3:4]) * weight)[:, 0],
-    )
-    radiance = torch.zeros_like(diffuse)
-    if scene.shader is not None:
-        rays = at(pixel_rays(camera)) @ camera.cam_from_world[:3, :3]
-        towards = -(normal * rays).sum(-1, keepdim=True)
-        reflected = normalized(rays + 2 * towards * normal)
-        if turntable:
-            reflected = reflected @ camera.cam_from_world[:3, :3].T
-        near_pixels = None if near is None else at(near)
-        radiance = specular(
-            scene.shader, reflected, roughness, towards[:, 0].clamp(0, 1), near_pixels
-        )
-
-    def spread(values: Tensor) -> Tensor:
-        flat = values.new_zeros(height * width, values.shape[1]).index_copy(0, covered, values)
-        return flat.reshape(height, width, -1)
-
-    shaded = spread(srgb_of(diffuse + radiance))
-    image = object_alpha[..., None] * shaded + (1 - maps.alpha)[..., None] * backdrop
+    shaded = _shade(scene, camera, maps, near, object_alpha, turntable)
+    image = object_alpha[..., None] * shaded.color + (1 - maps.alpha)[..., None] * backdrop
     if has_background:
         image = image + maps.features[..., inside_at + 1 : inside_at + 4]
-    full_alpha = maps.alpha.clamp(min=1e-6)
     return Picture(
         image=image,
         alpha=maps.alpha,
         object_alpha=object_alpha,
         normal=normalized(maps.normal),
-        depth=maps.depth / full_alpha,
-        diffuse=spread(diffuse),
-        roughness=spread(roughness[:, None])[..., 0],
-        specular=spread(radiance),
+        depth=maps.depth / maps.alpha.clamp(min=1e-6),
+        diffuse=shaded.diffuse,
+        roughness=shaded.roughness[..., 0],
+        specular=shaded.specular,
         distortion=maps.distortion,
         geometry_statistics=maps.statistics,
         local_statistics=local_statistics,
     )
+
+
+@dataclass(frozen=True)
+class _Shaded:
+    """(H, W, C) of the covered pixels, 0 elsewhere; color is sRGB, the rest linear."""
+
+    color: Tensor
+    diffuse: Tensor
+    roughness: Tensor
+    specular: Tensor
+
+
+def _shade(
+    scene: Scene,
+    camera: Pinhole,
+    maps: Maps,
+    near: Tensor | None,
+    alpha: Tensor,
+    turntable: bool,
+) -> _Shaded:
+    """Shade covered pixels, from alpha-normalised maps; near features stay premultiplied."""
+    height, width = alpha.shape
+    covered = torch.nonzero(alpha.detach().reshape(-1) > SHADED_ALPHA).flatten()
+
+    def at(image: Tensor) -> Tensor:
+        return image.reshape(height * width, -1).index_select(0, covered)
+
+    def spread(values: Tensor) -> Tensor:
+        flat = values.new_zeros(height * width, values.shape[1]).index_copy(0, covered, values)
+        return flat.reshape(height, width, -1)
+
+    carried = at(maps.features[..., :4]) / at(alpha)
+    diffuse, roughness = carried[:, :3], carried[:, 3]
+    radiance = torch.zeros_like(diffuse)
+    if scene.shader is not None:
+        assert maps.normal is not None
+        normal = normalized(at(maps.normal))
+        rays = at(pixel_rays(camera)) @ camera.cam_from_world[:3, :3]
+        towards = -(normal * rays).sum(-1, keepdim=True)
+        reflected = normalized(rays + 2 * towards * normal)
+        if turntable:
+            reflected = reflected @ camera.cam_from_world[:3, :3].T
+        cosine = towards[:, 0].clamp(0, 1)
+        near_pixels = None if near is None else at(near)
+        radiance = specular(scene.shader, reflected, roughness, cosine, near_pixels)
+    color = srgb_of(diffuse + radiance)
+    return _Shaded(*(spread(v) for v in (color, diffuse, roughness[:, None], radiance)))
 
 
 def _near_features(

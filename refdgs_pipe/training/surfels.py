@@ -1,7 +1,7 @@
 """Sets of surfels as the optimiser sees them, and how they grow and shrink."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -127,11 +127,11 @@ class TrainableSet:
 
 
 def _carried(raw: dict[str, Tensor]) -> dict[str, Tensor]:
-    activations = {
+    activations: dict[str, tuple[str, Callable[[Tensor], Tensor]]] = {
         "raw_diffuse": ("diffuse", diffuse_of),
         "raw_roughness": ("roughness", torch.sigmoid),
         "features": ("features", torch.tanh),
-        "sh": ("sh", lambda x: x),
+        "sh": ("sh", torch.clone),
     }
     return {new: f(raw[old]) for old, (new, f) in activations.items() if old in raw}
 
