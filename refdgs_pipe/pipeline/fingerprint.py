@@ -8,6 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from refdgs_pipe.errors import CaptureError
 from refdgs_pipe.pipeline.atomic import write_json
 
 # A file changed this shortly before it was hashed may change again without its times showing it.
@@ -35,7 +36,11 @@ def combine(files: Mapping[str, str]) -> str:
 
 
 def fingerprint(files: Iterable[tuple[str, Path]], memory: Path) -> Fingerprint:
-    """Hash the named files of a source. What has unchanged size and times is known by `memory`."""
+    """Hash the named files of a source. What has unchanged size and times is known by `memory`.
+
+    Raises:
+        CaptureError: a file cannot be read.
+    """
     known = _read_memory(memory)
     start = time.time_ns()
     hashes: dict[str, str] = {}
@@ -43,10 +48,13 @@ def fingerprint(files: Iterable[tuple[str, Path]], memory: Path) -> Fingerprint:
     for name, path in files:
         while name in hashes:  # files of one name from several folders
             name += "+"
-        stat = path.stat()
-        facts = [stat.st_size, stat.st_mtime_ns, stat.st_ctime_ns]
-        old = known.get(name, [])
-        hashes[name] = str(old[3]) if old[:3] == facts else hash_file(path)
+        try:
+            stat = path.stat()
+            facts = [stat.st_size, stat.st_mtime_ns, stat.st_ctime_ns]
+            old = known.get(name, [])
+            hashes[name] = str(old[3]) if old[:3] == facts else hash_file(path)
+        except OSError as error:
+            raise CaptureError(f"{path}: cannot be read ({error.strerror})") from None
         if max(facts[1:]) < start - TOO_NEW_NS:
             fresh[name] = [*facts, hashes[name]]
     if fresh != known:
@@ -56,6 +64,6 @@ def fingerprint(files: Iterable[tuple[str, Path]], memory: Path) -> Fingerprint:
 
 
 def _read_memory(memory: Path) -> dict[str, list[int | str]]:
-    with suppress(OSError, ValueError, KeyError):
+    with suppress(OSError, ValueError, KeyError, TypeError):
         return dict(json.loads(memory.read_text("utf-8"))["files"])
     return {}
