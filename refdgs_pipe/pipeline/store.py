@@ -198,7 +198,7 @@ class Store:
 
     def adoption(self, origin: Origin) -> Origin:
         """The origin that stands in for this one: a user's own file, or itself."""
-        with suppress(OSError, ValueError, KeyError):
+        with suppress(OSError, ValueError, KeyError, TypeError):
             note = json.loads((self.root / origin.stage / ADOPTED).read_text("utf-8"))
             if note["key"] == origin.key:
                 return replace(origin, adopted=str(note["digest"]))
@@ -232,7 +232,7 @@ class Store:
         identity = {"key": origin.key, "digest": manifest.digest}
         with disk_errors(self.root):
             rescue(target)
-            with suppress(OSError, ValueError, CorruptError):
+            with suppress(OSError, ValueError, TypeError, CorruptError):
                 if json.loads(memory.read_text("utf-8")) == identity:
                     check_sizes(target, manifest)
                     return target
