@@ -106,6 +106,6 @@ class Lens:
 
 
 def opencv_from_opengl(world_from_cam: F64) -> F64:
-    """cam_from_world (OpenCV) of an OpenGL camera-to-world matrix (x right, y up, looks along -z)."""
+    """cam_from_world (OpenCV) of an OpenGL camera-to-world matrix (y up, looks along -z)."""
     flipped = world_from_cam @ np.diag([1.0, -1.0, -1.0, 1.0])
     return np.asarray(np.linalg.inv(flipped), np.float64)

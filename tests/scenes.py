@@ -87,7 +87,7 @@ class Scene:
         return np.asarray(colours[nearest, np.arange(len(points))])
 
     def surface_map(self, camera: Camera) -> SurfaceMap:
-        """What `camera` sees; reflections are one mirror bounce of the sky with Schlick's Fresnel."""
+        """What `camera` sees; reflections are one mirror bounce of the sky, Schlick's Fresnel."""
         rays = camera.pixel_rays().reshape(-1, 3) @ camera.cam_from_world[:3, :3]
         hits = [solid.intersect(camera.center, rays) for solid in self.solids]
         ts = np.stack([t for t, _ in hits])
