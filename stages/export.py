@@ -38,10 +38,7 @@ def export(
     from refdgs_pipe.export.splats import write_splats
 
     if params.longest is None and model.metres_per_unit is None:
-        job.warn(
-            "the object's size is unknown: one unit is written as one metre. Set "
-            "export.longest to its longest side in metres"
-        )
+        job.measure("scale", "unknown: one unit is one metre; set export.longest, in metres")
     scale = metres_per_unit(textured.mesh, known=model.metres_per_unit, longest=params.longest)
     done = product(textured, up=model.up, metres_per_unit=scale)
     for write in job.track(files.writers(preview=params.preview), "writing files"):

@@ -33,7 +33,7 @@ def draw(
     """Rasterise on the CPU; inputs are checked by `rasterize`."""
     n, channels = features.shape
     statistics = ScreenStatistics(features.new_zeros(n), features.new_zeros(n, 2))
-    planes = _Rasterize.apply(
+    planes: Tensor = _Rasterize.apply(  # type: ignore[no-untyped-call]
         surfels.means,
         surfels.quats,
         surfels.scales,

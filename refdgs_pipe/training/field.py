@@ -22,8 +22,9 @@ from refdgs_pipe.training.surfels import (
     step_all,
 )
 
-START_OPACITY = 0.1
 HULL_OPACITY = 0.5
+LOCAL_OPACITY = 0.1
+BACKGROUND_OPACITY = 0.1
 BALL_MARGIN = 1.1  # object surfels may stray this far, in ball radii
 LARGEST = 0.1  # surfels larger than this share of the extent go
 
@@ -63,7 +64,7 @@ class TrainableField:
             self.shader_optimizer = [torch.optim.Adam(groups, eps=1e-15, fused=True)]
             if params.local == "dual":
                 cloud = initial.ball_cloud(model.ball, params.local_surfels, rng)
-                raw = initial.raw_discs(cloud, START_OPACITY)
+                raw = initial.raw_discs(cloud, LOCAL_OPACITY)
                 raw["features"] = torch.zeros(params.local_surfels, 4)
                 self.local = TrainableSet(raw, self.rates)
         self.background = None if masked else self._background(model, photos, rng)
@@ -88,7 +89,8 @@ class TrainableField:
         masked: bool,
         rng: np.random.Generator,
     ) -> dict[str, Tensor]:
-        p, cloud, opacity = self.params, None, START_OPACITY
+        p, cloud = self.params, None
+        opacity = p.start_opacity
         if masked and p.start != "ball" and all(photo.mask is not None for photo in photos):
             masks = [
                 photo.mask.float().div(255).numpy() for photo in photos if photo.mask is not None
@@ -97,9 +99,9 @@ class TrainableField:
             cloud = initial.hull_cloud(
                 model.ball, cameras, masks, p.surfels, rng, filled=p.start == "volume"
             )
-            opacity = HULL_OPACITY if p.start == "hull" else START_OPACITY
+            opacity = HULL_OPACITY if p.start == "hull" else p.start_opacity
         if cloud is None:
-            cloud, opacity = initial.ball_cloud(model.ball, p.surfels, rng), START_OPACITY
+            cloud, opacity = initial.ball_cloud(model.ball, p.surfels, rng), p.start_opacity
             inside = self._inside(torch.from_numpy(model.points)).numpy()
             if inside.any():
                 points, colors = model.points[inside], model.point_colors[inside]
@@ -124,7 +126,7 @@ class TrainableField:
         if outside.any():
             points, colors = model.points[outside], model.point_colors[outside]
             cloud = initial.joined(cloud, initial.sparse_cloud(points, colors, cameras, rng))
-        raw = initial.raw_discs(cloud, START_OPACITY)
+        raw = initial.raw_discs(cloud, BACKGROUND_OPACITY)
         raw["raw_opacities"][: initial.SKY_SURFELS] = math.log(0.9 / 0.1)
         sh = torch.zeros(len(cloud.points), 12)
         sh[:, :3] = (torch.tensor(cloud.colors, dtype=torch.float32) - 0.5) / 0.28209479177387814
@@ -163,7 +165,7 @@ class TrainableField:
             else None,
             background=None if self.background is None else self.background.surfels(),
             background_rgb=background_rgb,
-            shader=self.shader,
+            shader=self.shader if fraction >= p.reflect_from else None,
         )
 
     def observe(self, picture: Picture, width: int) -> None:

@@ -32,7 +32,13 @@ class TrainParams(Params):
     )
     physical: bool = Field(True, description="the shader also sees roughness and cos(normal, view)")
     local_from: float = Field(
-        0.1, ge=0, le=1, description="fraction of the run after which near-field features join"
+        0.2, ge=0, le=1, description="fraction of the run after which near-field features join"
+    )
+    reflect_from: float = Field(
+        0.15,
+        ge=0,
+        le=1,
+        description="fraction of the run after which reflections join; matte before",
     )
     environment_height: int = Field(
         256,
@@ -54,6 +60,9 @@ class TrainParams(Params):
     )
     background_surfels: int = Field(
         60_000, ge=100, le=5_000_000, description="surfels outside the object ball at most"
+    )
+    start_opacity: float = Field(
+        0.03, gt=0, lt=1, description="of surfels that do not start on the hull's surface"
     )
     densify_from: float = Field(0.05, ge=0, le=1, description="fraction of the run")
     densify_until: float = Field(0.6, ge=0, le=1, description="fraction of the run")
@@ -78,7 +87,7 @@ class TrainParams(Params):
     rate_opacities: float = Field(0.05, gt=0, le=1, description="step of raw opacities")
     rate_scales: float = Field(0.005, gt=0, le=1, description="step of log scales")
     rate_quats: float = Field(0.001, gt=0, le=1, description="step of quaternions")
-    rate_diffuse: float = Field(0.01, gt=0, le=1, description="step of raw diffuse colour")
+    rate_diffuse: float = Field(0.02, gt=0, le=1, description="step of raw diffuse colour")
     rate_roughness: float = Field(0.002, gt=0, le=1, description="step of raw roughness")
     rate_features: float = Field(0.002, gt=0, le=1, description="step of local features")
     rate_environment: float = Field(0.002, gt=0, le=1, description="step of the Sph-Mip map")
@@ -86,10 +95,10 @@ class TrainParams(Params):
 
     ssim_share: float = Field(0.2, ge=0, le=1, description="share of 1 - SSIM in the image loss")
     mask_weight: float = Field(
-        1.0, ge=0, le=10, description="weight of the alpha's cross-entropy against masks"
+        0.1, ge=0, le=10, description="weight of the alpha's cross-entropy against masks"
     )
     normal_weight: float = Field(
-        0.05, ge=0, le=10, description="weight of the agreement of normals with depth"
+        0.2, ge=0, le=10, description="weight of the agreement of normals with depth"
     )
     distortion_weight: float = Field(
         0.0, ge=0, le=1e6, description="weight of the depth distortion"
