@@ -7,11 +7,18 @@ namespace refdgs {
 constexpr int kTile = 16;             // pixels along a tile's edge
 constexpr int kTilePixels = 256;
 constexpr int kMaxChannels = 20;      // constant channels of a surfel: features and normal
-constexpr int kRecordHead = 12;       // x y j00 j01 j10 j11 s0 s1 z opacity cut depth-key
+// A record: x y j00 j01 j10 j11 s0 s1 z opacity cut 0; the contour where the disc's alpha is kMinAlpha:
+// its middle (2) and a, b, c, -b/2c, -b/2a of  a x^2 + b x y + c y^2 <= 1  about it (zeros: everywhere);
+// 0; then the channels.
+constexpr int kContour = 12, kRecordHead = 20;
 constexpr int kGradHead = 12;         // x y j00 j01 j10 j11 s0 s1 z opacity |x| |y|
 
 struct Box {
   int16_t x0, y0, x1, y1;  // pixels, inclusive
+};
+
+struct Entry {
+  int32_t surfel, slot;  // slot: where its activity and gradient go
 };
 
 enum class Extra : int { none = 0, depth = 1, distortion = 2 };  // each includes the one before
@@ -24,18 +31,19 @@ template <class S> struct RasterFrame {
   Extra extra;
   S near;
   int stride;           // scalars in a record
-  const S* records;     // [visible][stride]
-  const Box* boxes;     // [visible]
-  const int32_t* entries;     // visible index of each (tile, surfel) pair, tile by tile, near to far
-  const int32_t* slots;       // where each entry's gradient goes
+  const S* records;     // [surfels][stride]; unset where nothing is drawn
+  const Box* boxes;     // [surfels]
+  const Entry* entries;       // a surfel in a tile: tile by tile, near to far
   const int64_t* tile_start;  // [tiles + 1]
-  uint64_t* activity;         // [entries] which blocks of the tile the entry touched
+  int64_t* tile_stop;         // [tiles] entries from here on are hidden
+  uint64_t* activity;         // [slots] which blocks of the tile the entry touched
   S* moments;                 // [2][H][W] sums of w m and w m^2; only with distortion
 };
 
 template <class S> struct RasterKernels {
-  void (*forward)(const RasterFrame<S>&, int tile, int32_t* lists, int64_t capacity, S* maps);
-  // slots: [entries][kGradHead + channels]
+  // Expects activity to be zero.
+  void (*forward)(const RasterFrame<S>&, int tile, S* maps);
+  // slots: [slots][kGradHead + channels]; left alone where there is no activity.
   void (*backward)(const RasterFrame<S>&, int tile, const S* maps, const S* v_maps, S* slots);
 };
 

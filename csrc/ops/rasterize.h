@@ -1,6 +1,7 @@
 // One image of one set of surfels: project, sort, bin, draw; and back. Owns its memory and can be reused.
 #pragma once
 #include <cstdint>
+#include <new>
 #include <vector>
 
 #include "../math/surfel.h"
@@ -26,6 +27,17 @@ struct RasterOptions {
   int threads;
 };
 
+// Memory that starts with a cache line, so that records do not straddle more lines than they must.
+template <class T> struct CacheLines {
+  using value_type = T;
+  CacheLines() = default;
+  template <class U> CacheLines(const CacheLines<U>&) {}
+  T* allocate(size_t n) { return static_cast<T*>(::operator new(n * sizeof(T), std::align_val_t(64))); }
+  void deallocate(T* p, size_t) { ::operator delete(p, std::align_val_t(64)); }
+  template <class U> bool operator==(const CacheLines<U>&) const { return true; }
+  template <class U> bool operator!=(const CacheLines<U>&) const { return false; }
+};
+
 template <class S> class Raster {
  public:
   // maps: planar, [planes()][H][W]; radii: (N) pixels, 0 where nothing is drawn.
@@ -38,24 +50,27 @@ template <class S> class Raster {
 
  private:
   void project(const Surfels<S>& surfels, S* radii);
+  void write_record(const Surfels<S>& surfels, int64_t i, const Disc<S>& disc, const Splat<S>& s, S cut);
   void sort();
-  void write_records(const Surfels<S>& surfels);
   void bin();
+  void reduce(const Surfels<S>& surfels, const SurfelGrads<S>& grads, int64_t i, double* v_pose) const;
   RasterFrame<S> frame();
 
   Pinhole<S> cam_{};
   RasterOptions options_{};
   int channels_ = 0, stride_ = 0, tiles_x_ = 0, tiles_y_ = 0;
-  int64_t longest_tile_ = 0;
-  std::vector<Splat<S>> splats_;       // by surfel
-  std::vector<Box> all_boxes_;         // by surfel; x1 < x0 where nothing is drawn
   std::vector<uint64_t> keys_, spare_;  // depth bits << 32 | surfel, near to far once sorted
-  std::vector<S> records_, slots_, moments_;
-  std::vector<Box> boxes_;             // by visible index
-  std::vector<int32_t> entries_, entry_slots_;
-  std::vector<int64_t> slot_start_, tile_start_;
+  // By surfel:
+  std::vector<Box> boxes_;              // x1 < x0 where nothing is drawn
+  std::vector<uint32_t> depths_;        // bits of the centre's depth
+  std::vector<S, CacheLines<S>> records_;
+  std::vector<int64_t> slot_start_;     // its slots, one for each tile
+  // By slot:
+  std::vector<S, CacheLines<S>> slots_;
   std::vector<uint64_t> activity_;
-  std::vector<std::vector<int32_t>> lists_;  // by thread
+  std::vector<Entry> entries_;          // by tile
+  std::vector<int64_t> tile_start_, tile_stop_;
+  std::vector<S> moments_;
 };
 
 }  // namespace refdgs

@@ -1,235 +1,358 @@
 // The tile kernels. One call draws one 16x16 tile; LANES pixels of a block (4 wide) go in one vector.
-// Forward walks each block's own list with the sums in registers and stops when the block is opaque;
-// backward walks the tile's surfels near to far once, with a surfel's gradient sums in registers, and
-// writes them to the surfel's slot: no atomics, the same result for any number of threads.
+// Forward takes the tile's surfels near to far in batches: an exact test finds the blocks that each one
+// reaches, then every block walks its own list with the sums in registers. Backward walks the surfels
+// once, with a surfel's gradient sums in registers, and writes them to the surfel's slot: no atomics,
+// the same result for any number of threads.
 //
 // Blending gradient: with D = dL/dw of a surfel and R = sum of w D over it and everything behind it,
 // dL/dalpha = T D - (R - w D) / (1 - alpha).
 
 constexpr int kBlockW = 4, kBlockH = LANES / 4, kBlocks = kTilePixels / LANES, kBlocksX = kTile / kBlockW;
+constexpr int kBatch = 128;
+constexpr int planes_of(int channels, int extra) { return channels + 1 + (extra >= 1 ? 2 : 0) + (extra >= 2 ? 1 : 0); }
 
 template <class S> struct Lanes {
-  alignas(64) S x[LANES], y[LANES];
+  alignas(64) S x[LANES], y[LANES];                     // pixel centres in a block
+  alignas(64) S block_x[kBlocks], block_y[kBlocks];     // first pixel centres of the tile's blocks
   Lanes() {
     for (int i = 0; i < LANES; ++i) x[i] = S(i % kBlockW) + S(0.5), y[i] = S(i / kBlockW) + S(0.5);
+    for (int b = 0; b < kBlocks; ++b)
+      block_x[b] = S(b % kBlocksX * kBlockW) + S(0.5), block_y[b] = S(b / kBlocksX * kBlockH) + S(0.5);
   }
 };
 
 template <class S> struct Hit {
   using vf = typename Simd<S>::vf;
-  using vi = typename Simd<S>::vi;
+  using vm = typename Simd<S>::vm;
   vf dx, dy, iq, u, v, rho, z;
-  vi on_disc, has_hit, visible;
+  vm on_disc, has_hit, visible;
 };
 template <class S>
-inline Hit<S> hit(const S* r, typename Simd<S>::vf x, typename Simd<S>::vf y, S near) {
+inline __attribute__((always_inline)) Hit<S> hit(const S* r, typename Simd<S>::vf x, typename Simd<S>::vf y, S near) {
   Hit<S> h;
   h.dx = x - r[0];
   h.dy = y - r[1];
   const auto q = 1 + r[6] * h.dx + r[7] * h.dy;
-  h.iq = reciprocal(q > S(1e-9) ? q : all(S(1)));  // behind the horizon: finite and unused
+  const auto in_front = less(all(S(1e-9)), q);  // not behind the horizon
+  h.iq = keep(in_front, reciprocal(q));
   h.u = (r[2] * h.dx + r[3] * h.dy) * h.iq;
   h.v = (r[4] * h.dx + r[5] * h.dy) * h.iq;
   const auto rho3 = h.u * h.u + h.v * h.v;
   const auto rho2 = 2 * (h.dx * h.dx + h.dy * h.dy);
-  h.on_disc = (rho3 <= rho2) & (q > S(1e-9));
-  h.has_hit = (rho3 <= S(kHitRadius2)) & (q > S(1e-9));
-  h.rho = h.on_disc ? rho3 : rho2;
-  h.z = h.has_hit ? r[8] * h.iq : all(r[8]);
-  h.visible = (h.rho < r[10]) & (h.z > near);
+  h.on_disc = at_most(rho3, rho2) & in_front;
+  h.has_hit = at_most(rho3, all(S(kHitRadius2))) & in_front;
+  h.rho = select(h.on_disc, rho3, rho2);
+  h.z = select(h.has_hit, r[8] * h.iq, all(r[8]));
+  h.visible = less(h.rho, all(r[10])) & less(all(near), h.z);
   return h;
 }
 
-template <class S, int C, int X>
-void forward_tile(const RasterFrame<S>& f, int tile, int32_t* lists, int64_t capacity, S* maps) {
+// The value between lo and hi that is nearest to `to`.
+template <class V> inline V clamped(V to, V lo, V hi) { return min_of(max_of(to, lo), hi); }
+
+// Which blocks of the tile at (tx, ty) have pixels that the surfel's contour or its low-pass circle
+// reaches; now and then one too many. The least of a convex quadratic over a rectangle lies at its own
+// middle or on a side that faces it.
+template <class S>
+inline uint64_t reached_blocks(const Lanes<S>& lanes, const S* r, const Box* box, int tx, int ty) {
   using vf = typename Simd<S>::vf;
-  using vi = typename Simd<S>::vi;
+  constexpr int wide = kBlockW - 1, high = kBlockH - 1;
+  int first = 0, last = kBlocks - 1;
+  if (kBlocks > LANES) {  // several vectors: only those within the box
+    const int y0 = box->y0 > ty ? (box->y0 - ty) / kBlockH : 0;
+    const int y1 = box->y1 < ty + kTile ? (box->y1 - ty) / kBlockH : kTile / kBlockH - 1;
+    first = y0 * kBlocksX / LANES * LANES, last = y1 * kBlocksX + kBlocksX - 1;
+  }
+  const S* k = r + kContour;
+  uint64_t reached = 0;
+  for (; first <= last; first += LANES) {
+    const vf x = load(lanes.block_x + first) + S(tx), y = load(lanes.block_y + first) + S(ty);
+    const vf x0 = x - k[0], y0 = y - k[1], x1 = x0 + S(wide), y1 = y0 + S(high);
+    const vf xa = clamped(vf{}, x0, x1), ya = clamped(k[5] * xa, y0, y1);
+    const vf yb = clamped(vf{}, y0, y1), xb = clamped(k[6] * yb, x0, x1);
+    const vf a = xa * (k[2] * xa + k[3] * ya) + k[4] * ya * ya;
+    const vf b = xb * (k[2] * xb + k[3] * yb) + k[4] * yb * yb;
+    const vf cx = clamped(vf{}, x - r[0], x - r[0] + S(wide)), cy = clamped(vf{}, y - r[1], y - r[1] + S(high));
+    const auto near = less(min_of(a, b), all(S(1.02))) | less(cx * cx + cy * cy, all(S(0.501) * r[10]));
+    reached |= bits_of(near) << first;
+  }
+  return reached;
+}
+
+// A block's sums in progress: channels, T, depth, median, distortion and its two moments.
+template <class S, int C> struct BlockSums {
+  alignas(64) S channel[C][LANES];
+  alignas(64) S T[LANES], depth[LANES], median[LANES], distortion[LANES], m1[LANES], m2[LANES];
+  typename Simd<S>::vm alive;
+};
+
+// Blends the listed surfels into one block, near to far; true while a pixel is still open.
+template <class S, int C, int X>
+inline bool blend(S near, const S* const* records, const uint8_t* list, int n, typename Simd<S>::vf x,
+                  typename Simd<S>::vf y, BlockSums<S, C>& sums, uint64_t* activity, uint64_t bit) {
+  using vf = typename Simd<S>::vf;
+  using vm = typename Simd<S>::vm;
+  vf sum[C], T = load(sums.T), depth = load(sums.depth), median = load(sums.median);
+  vf distortion = load(sums.distortion), m1 = load(sums.m1), m2 = load(sums.m2);
+  vm alive = sums.alive;
+#pragma GCC unroll 20
+  for (int c = 0; c < C; ++c) sum[c] = load(sums.channel[c]);
+  for (int k = 0; k < n; ++k) {
+    const S* r = records[list[k]];
+    const Hit<S> h = hit(r, x, y, near);
+    vm on = h.visible & alive;
+    if (!any_lane(on)) continue;
+    const vf alpha = min_of(r[9] * exp_of(h.rho * S(-0.5)), all(S(kMaxAlpha)));
+    const vf next_T = T - T * alpha;
+    const vm full = on & less(next_T, all(S(kMinTransmittance)));
+    alive = alive & ~full;
+    on = on & ~full;
+    const vf w = keep(on, alpha * T);
+    activity[list[k]] |= bit;
+#pragma GCC unroll 20
+    for (int c = 0; c < C; ++c) sum[c] += r[kRecordHead + c] * w;
+    if (X >= 1) {
+      depth += w * h.z;
+      median = select(on & less(all(S(0.5)), T) & at_most(next_T, all(S(0.5))), h.z, median);
+    }
+    if (X >= 2) {
+      const vf m = near * reciprocal(h.z);
+      distortion += w * (m * m * (1 - T) + m2 - 2 * m * m1);
+      m1 += w * m;
+      m2 += w * m * m;
+    }
+    T = select(on, next_T, T);
+    if (!any_lane(alive)) break;
+  }
+#pragma GCC unroll 20
+  for (int c = 0; c < C; ++c) store(sums.channel[c], sum[c]);
+  store(sums.T, T);
+  store(sums.depth, depth);
+  store(sums.median, median);
+  store(sums.distortion, distortion);
+  store(sums.m1, m1);
+  store(sums.m2, m2);
+  sums.alive = alive;
+  return any_lane(alive);
+}
+
+// Writes a plane of the tile: lanes(block) gives the block's values.
+template <class S, class F> inline void store_plane(const RasterFrame<S>& f, int tx, int ty, S* plane, F&& lanes) {
+  for (int row = 0; row < kTile && ty + row < f.height; ++row)
+    for (int column = 0; column < kBlocksX; ++column) {
+      const S* from = lanes(row / kBlockH * kBlocksX + column) + row % kBlockH * kBlockW;
+      S* to = plane + int64_t(ty + row) * f.width + tx + column * kBlockW;
+      const int left = f.width - tx - column * kBlockW;
+      if (left >= kBlockW)
+        __builtin_memcpy(to, from, kBlockW * sizeof(S));
+      else
+        for (int i = 0; i < left; ++i) to[i] = from[i];
+    }
+}
+// The reverse, zeros outside the image; fetches the plane after the next on the way.
+template <class S, class F> inline void load_plane(const RasterFrame<S>& f, int tx, int ty, const S* plane, F&& lanes) {
+  for (int row = 0; row < kTile; ++row)
+    for (int column = 0; column < kBlocksX; ++column) {
+      S* to = lanes(row / kBlockH * kBlocksX + column) + row % kBlockH * kBlockW;
+      const S* from = plane + int64_t(ty + row) * f.width + tx + column * kBlockW;
+      if (column == 0) __builtin_prefetch(from + 2 * int64_t(f.width) * f.height);
+      const int left = ty + row < f.height ? f.width - tx - column * kBlockW : 0;
+      if (left >= kBlockW)
+        __builtin_memcpy(to, from, kBlockW * sizeof(S));
+      else
+        for (int i = 0; i < kBlockW; ++i) to[i] = i < left ? from[i] : S(0);
+    }
+}
+
+template <class S, int C, int X>
+void store_maps(const RasterFrame<S>& f, int tx, int ty, BlockSums<S, C>* sums, S* maps) {
+  const int64_t plane = int64_t(f.width) * f.height;
+  for (int c = 0; c < C; ++c)
+    store_plane(f, tx, ty, maps + c * plane, [=](int block) { return sums[block].channel[c]; });
+  for (int block = 0; block < kBlocks; ++block) store(sums[block].T, 1 - load(sums[block].T));
+  store_plane(f, tx, ty, maps + C * plane, [=](int block) { return sums[block].T; });
+  if (X >= 1) {
+    store_plane(f, tx, ty, maps + (C + 1) * plane, [=](int block) { return sums[block].depth; });
+    store_plane(f, tx, ty, maps + (C + 2) * plane, [=](int block) { return sums[block].median; });
+  }
+  if (X >= 2) {
+    store_plane(f, tx, ty, maps + (C + 3) * plane, [=](int block) { return sums[block].distortion; });
+    store_plane(f, tx, ty, f.moments, [=](int block) { return sums[block].m1; });
+    store_plane(f, tx, ty, f.moments + plane, [=](int block) { return sums[block].m2; });
+  }
+}
+
+template <class S, int C, int X> void forward_tile(const RasterFrame<S>& f, int tile, S* maps) {
+  using vf = typename Simd<S>::vf;
   static const Lanes<S> lanes;
   const int tx = tile % f.tiles_x * kTile, ty = tile / f.tiles_x * kTile;
-  const int64_t begin = f.tile_start[tile], end = f.tile_start[tile + 1];
-  int64_t count[kBlocks] = {};
-  for (int64_t e = begin; e < end; ++e) {
-    f.activity[e] = 0;
-    const Box b = f.boxes[f.entries[e]];
-    const int x0 = b.x0 > tx ? (b.x0 - tx) / kBlockW : 0, y0 = b.y0 > ty ? (b.y0 - ty) / kBlockH : 0;
-    const int x1 = b.x1 < tx + kTile ? (b.x1 - tx) / kBlockW : kBlocksX - 1;
-    const int y1 = b.y1 < ty + kTile ? (b.y1 - ty) / kBlockH : kBlocks / kBlocksX - 1;
-    for (int y = y0; y <= y1; ++y)
-      for (int x = x0; x <= x1; ++x) {
-        const int block = y * kBlocksX + x;
-        lists[block * capacity + count[block]++] = int32_t(e - begin);
-      }
-  }
-  alignas(64) S out[C + 6][LANES];
-  const int64_t plane = int64_t(f.width) * f.height;
+  const int64_t end = f.tile_start[tile + 1];
+  BlockSums<S, C> sums[kBlocks];
+  __builtin_memset(sums, 0, sizeof sums);
+  uint64_t open = 0;
   for (int block = 0; block < kBlocks; ++block) {
-    const int bx = tx + block % kBlocksX * kBlockW, by = ty + block / kBlocksX * kBlockH;
-    if (bx >= f.width || by >= f.height) continue;
-    const vf x = load(lanes.x) + S(bx), y = load(lanes.y) + S(by);
-    vf T = all(S(1)), sum[C], depth{}, median{}, distortion{}, m1{}, m2{};
-    for (int c = 0; c < C; ++c) sum[c] = vf{};
-    vi alive = vi{} - 1;
-    const int32_t* list = lists + block * capacity;
-    for (int64_t k = 0; k < count[block]; ++k) {
-      const int64_t e = begin + list[k];
-      const S* r = f.records + int64_t(f.entries[e]) * f.stride;
-      if (k + 4 < count[block]) {
-        const S* next = f.records + int64_t(f.entries[begin + list[k + 4]]) * f.stride;
+    const vf x = load(lanes.x) + S(tx + block % kBlocksX * kBlockW);
+    const vf y = load(lanes.y) + S(ty + block / kBlocksX * kBlockH);
+    store(sums[block].T, all(S(1)));
+    sums[block].alive = less(x, all(S(f.width))) & less(y, all(S(f.height)));
+    open |= uint64_t(any_lane(sums[block].alive)) << block;
+  }
+  const S* records[kBatch];
+  uint8_t lists[kBlocks][kBatch];
+  uint64_t activity[kBatch];
+  int64_t e = f.tile_start[tile];
+  while (e < end && open) {
+    const int n = end - e < kBatch ? int(end - e) : kBatch;
+    int count[kBlocks] = {};
+    for (int k = 0; k < n; ++k) {
+      if (e + k + 8 < end) {
+        const S* next = f.records + int64_t(f.entries[e + k + 8].surfel) * f.stride;
         __builtin_prefetch(next);
         __builtin_prefetch(next + 16);
+        if (kBlocks > LANES) __builtin_prefetch(f.boxes + f.entries[e + k + 8].surfel);
       }
-      const Hit<S> h = hit(r, x, y, f.near);
-      vi on = h.visible & alive;
-      if (!any_lane(on)) continue;
-      vf alpha = min_of(r[9] * exp_of(h.rho * S(-0.5)), all(S(kMaxAlpha)));
-      alpha = on ? alpha : vf{};
-      const vf next_T = T - T * alpha;
-      const vi full = next_T < S(kMinTransmittance);
-      alive &= ~full;
-      on &= ~full;
-      const vf w = on ? alpha * T : vf{};
-      f.activity[e] |= uint64_t(1) << block;
-      for (int c = 0; c < C; ++c) sum[c] += r[kRecordHead + c] * w;
-      if (X >= 1) {
-        depth += w * h.z;
-        median = (on & (T > S(0.5)) & (next_T <= S(0.5))) ? h.z : median;
+      const int32_t surfel = f.entries[e + k].surfel;
+      records[k] = f.records + int64_t(surfel) * f.stride;
+      activity[k] = 0;
+      for (uint64_t m = reached_blocks(lanes, records[k], f.boxes + surfel, tx, ty) & open; m; m &= m - 1) {
+        const int block = __builtin_ctzll(m);
+        lists[block][count[block]++] = uint8_t(k);
       }
-      if (X >= 2) {
-        const vf m = f.near * reciprocal(h.z);
-        distortion += w * (m * m * (1 - T) + m2 - 2 * m * m1);
-        m1 += w * m;
-        m2 += w * m * m;
-      }
-      T = full ? T : next_T;
-      if (!any_lane(alive)) break;
     }
-    for (int c = 0; c < C; ++c) store(out[c], sum[c]);
-    store(out[C], 1 - T);
-    store(out[C + 1], depth);
-    store(out[C + 2], median);
-    store(out[C + 3], distortion);
-    store(out[C + 4], m1);
-    store(out[C + 5], m2);
-    const int planes = C + 1 + (X >= 1 ? 2 : 0) + (X >= 2 ? 1 : 0);
-    for (int row = 0; row < kBlockH && by + row < f.height; ++row)
-      for (int col = 0; col < kBlockW && bx + col < f.width; ++col) {
-        const int64_t pixel = int64_t(by + row) * f.width + bx + col;
-        const int lane = row * kBlockW + col;
-        for (int c = 0; c < planes; ++c) maps[c * plane + pixel] = out[c][lane];
-        if (X >= 2) f.moments[pixel] = out[C + 4][lane], f.moments[plane + pixel] = out[C + 5][lane];
-      }
+    for (uint64_t m = open; m; m &= m - 1) {
+      const int block = __builtin_ctzll(m);
+      const vf x = load(lanes.x) + S(tx + block % kBlocksX * kBlockW);
+      const vf y = load(lanes.y) + S(ty + block / kBlocksX * kBlockH);
+      const uint64_t bit = uint64_t(1) << block;
+      if (!blend<S, C, X>(f.near, records, lists[block], count[block], x, y, sums[block], activity, bit)) open &= ~bit;
+    }
+    for (int k = 0; k < n; ++k)
+      if (activity[k]) f.activity[f.entries[e + k].slot] = activity[k];
+    e += n;
   }
+  f.tile_stop[tile] = e;
+  store_maps<S, C, X>(f, tx, ty, sums, maps);
+}
+
+// What backward keeps of a tile: incoming gradients, transmittance so far (negative once a pixel has
+// stopped), R, and with distortion alpha and the moments.
+template <class S, int C, int X> struct Replay {
+  alignas(64) S g[kBlocks][planes_of(C, X)][LANES], T[kBlocks][LANES], R[kBlocks][LANES];
+  alignas(64) S M[kBlocks][X >= 2 ? 3 : 1][LANES];
+
+  void load_tile(const RasterFrame<S>& f, int tx, int ty, const S* maps, const S* v_maps) {
+    const int64_t plane = int64_t(f.width) * f.height;
+    alignas(64) S map[kBlocks][LANES];
+    for (int block = 0; block < kBlocks; ++block) {
+      store(T[block], all(S(1)));
+      store(R[block], all(S(0)));
+    }
+    for (int c = 0; c < planes_of(C, X); ++c) {
+      load_plane(f, tx, ty, v_maps + c * plane, [&](int block) { return g[block][c]; });
+      if (c == C + 2) continue;  // the median's gradient does not pass through weights
+      load_plane(f, tx, ty, maps + c * plane, [&](int block) { return map[block]; });
+      for (int block = 0; block < kBlocks; ++block)
+        store(R[block], load(R[block]) + load(map[block]) * load(g[block][c]) * (c == C + 3 ? S(2) : S(1)));
+    }
+    if (X >= 2) {
+      load_plane(f, tx, ty, maps + C * plane, [&](int block) { return M[block][0]; });
+      load_plane(f, tx, ty, f.moments, [&](int block) { return M[block][X >= 2 ? 1 : 0]; });
+      load_plane(f, tx, ty, f.moments + plane, [&](int block) { return M[block][X >= 2 ? 2 : 0]; });
+    }
+  }
+};
+
+// One surfel in one block: adds to the sums of its gradients.
+template <class S, int C, int X>
+inline __attribute__((always_inline)) void replay(S near, const S* r, typename Simd<S>::vf x, typename Simd<S>::vf y,
+                                                  Replay<S, C, X>& t, int block, typename Simd<S>::vf* G) {
+  using vf = typename Simd<S>::vf;
+  using vm = typename Simd<S>::vm;
+  const Hit<S> h = hit(r, x, y, near);
+  const auto& g = t.g[block];
+  const vf T = load(t.T[block]);
+  vm on = h.visible & less(vf{}, T);
+  const vf bump = exp_of(h.rho * S(-0.5)), raw = r[9] * bump, alpha = min_of(raw, all(S(kMaxAlpha)));
+  const vf next_T = T - T * alpha;
+  const vm full = on & less(next_T, all(S(kMinTransmittance)));
+  on = on & ~full;
+  const vf w = keep(on, alpha * T);
+  store(t.T[block], select(full, -T, select(on, next_T, T)));
+  vf D = load(g[C]), gz{};
+#pragma GCC unroll 20
+  for (int c = 0; c < C; ++c) {
+    const vf gc = load(g[c]);
+    D += r[kRecordHead + c] * gc;
+    G[kGradHead + c] += w * gc;
+  }
+  if (X >= 1) {
+    const vf g_depth = load(g[X >= 1 ? C + 1 : 0]);
+    D += h.z * g_depth;
+    const vm half = on & less(all(S(0.5)), T) & at_most(next_T, all(S(0.5)));
+    gz = w * g_depth + keep(half, load(g[X >= 1 ? C + 2 : 0]));
+  }
+  if (X >= 2) {
+    const vf gd = load(g[X >= 2 ? C + 3 : 0]), iz = reciprocal(h.z), m = near * iz;
+    const vf A = load(t.M[block][0]), m1 = load(t.M[block][X >= 2 ? 1 : 0]), m2 = load(t.M[block][X >= 2 ? 2 : 0]);
+    D += gd * (m * m * A + m2 - 2 * m * m1);
+    gz -= 2 * w * gd * (m * A - m1) * m * iz;
+  }
+  const vf R = load(t.R[block]) - w * D;
+  store(t.R[block], R);
+  const vf g_alpha = keep(on & at_most(raw, all(S(kMaxAlpha))), T * D - R * reciprocal(1 - alpha));
+  G[9] += g_alpha * bump;
+  const vf g_rho = S(-0.5) * g_alpha * alpha;
+  const vf on_disc = keep(h.on_disc, g_rho), low_pass = 4 * (g_rho - on_disc), scaled = 2 * on_disc * h.iq;
+  const vf gpx = h.u * scaled, gpy = h.v * scaled;
+  const vf gz_disc = keep(h.has_hit, gz * h.iq);
+  G[8] += select(h.has_hit, gz_disc, gz);
+  const vf gq = -(h.u * gpx + h.v * gpy) - gz_disc * h.z;
+  const vf gdx = gpx * r[2] + gpy * r[4] + gq * r[6] + h.dx * low_pass;
+  const vf gdy = gpx * r[3] + gpy * r[5] + gq * r[7] + h.dy * low_pass;
+  G[0] -= gdx;
+  G[1] -= gdy;
+  G[2] += gpx * h.dx;
+  G[3] += gpx * h.dy;
+  G[4] += gpy * h.dx;
+  G[5] += gpy * h.dy;
+  G[6] += gq * h.dx;
+  G[7] += gq * h.dy;
+  G[10] += abs_of(gdx);
+  G[11] += abs_of(gdy);
 }
 
 template <class S, int C, int X>
 void backward_tile(const RasterFrame<S>& f, int tile, const S* maps, const S* v_maps, S* slots) {
   using vf = typename Simd<S>::vf;
-  using vi = typename Simd<S>::vi;
   static const Lanes<S> lanes;
-  constexpr int planes = C + 1 + (X >= 1 ? 2 : 0) + (X >= 2 ? 1 : 0), width = kGradHead + C;
+  constexpr int width = kGradHead + C, ahead = 6;
   const int tx = tile % f.tiles_x * kTile, ty = tile / f.tiles_x * kTile;
-  const int64_t begin = f.tile_start[tile], end = f.tile_start[tile + 1];
-  const int64_t plane = int64_t(f.width) * f.height;
-  // Per block: incoming gradients, transmittance so far (negative once a pixel has stopped), R, moments.
-  alignas(64) S g[kBlocks][planes][LANES], T_[kBlocks][LANES], R_[kBlocks][LANES], M[kBlocks][X >= 2 ? 3 : 1][LANES];
-  for (int block = 0; block < kBlocks; ++block)
-    for (int lane = 0; lane < LANES; ++lane) {
-      const int px = tx + block % kBlocksX * kBlockW + lane % kBlockW;
-      const int py = ty + block / kBlocksX * kBlockH + lane / kBlockW;
-      const bool inside = px < f.width && py < f.height;
-      const int64_t pixel = inside ? int64_t(py) * f.width + px : 0;
-      S total = 0;
-      for (int c = 0; c < planes; ++c) {
-        const S v = inside ? v_maps[c * plane + pixel] : S(0);
-        g[block][c][lane] = v;
-        if (c == C + 2) continue;  // the median's gradient does not pass through weights
-        total += v * maps[c * plane + pixel] * (c == C + 3 ? S(2) : S(1));
-      }
-      R_[block][lane] = total;
-      T_[block][lane] = inside ? S(1) : S(-1);
-      if (X >= 2) {
-        M[block][0][lane] = maps[C * plane + pixel];
-        M[block][X >= 2 ? 1 : 0][lane] = f.moments[pixel];
-        M[block][X >= 2 ? 2 : 0][lane] = f.moments[plane + pixel];
-      }
-    }
+  const int64_t begin = f.tile_start[tile], end = f.tile_stop[tile];
+  if (begin == end) return;
+  Replay<S, C, X> t;
+  t.load_tile(f, tx, ty, maps, v_maps);
   for (int64_t e = begin; e < end; ++e) {
-    uint64_t act = f.activity[e];
-    S* slot = slots + int64_t(f.slots[e]) * width;
-    if (e + 4 < end) {
-      const S* next = f.records + int64_t(f.entries[e + 4]) * f.stride;
+    if (e + 2 * ahead < end) __builtin_prefetch(f.activity + f.entries[e + 2 * ahead].slot);
+    if (e + ahead < end && f.activity[f.entries[e + ahead].slot]) {
+      const S* next = f.records + int64_t(f.entries[e + ahead].surfel) * f.stride;
       __builtin_prefetch(next);
       __builtin_prefetch(next + 16);
-      __builtin_prefetch(slots + int64_t(f.slots[e + 4]) * width, 1);
+      __builtin_prefetch(slots + int64_t(f.entries[e + ahead].slot) * width, 1);
+      __builtin_prefetch(slots + int64_t(f.entries[e + ahead].slot) * width + width - 1, 1);
     }
-    if (!act) {
-      for (int c = 0; c < width; ++c) slot[c] = 0;
-      continue;
-    }
-    const S* r = f.records + int64_t(f.entries[e]) * f.stride;
+    uint64_t active = f.activity[f.entries[e].slot];
+    if (!active) continue;
+    const S* r = f.records + int64_t(f.entries[e].surfel) * f.stride;
     vf G[(width + 15) / 16 * 16];
-    for (vf& sum : G) sum = vf{};
-    for (; act; act &= act - 1) {
-      const int block = __builtin_ctzll(act);
+#pragma GCC unroll 32
+    for (int c = 0; c < (width + 15) / 16 * 16; ++c) G[c] = vf{};
+    for (; active; active &= active - 1) {
+      const int block = __builtin_ctzll(active);
       const vf x = load(lanes.x) + S(tx + block % kBlocksX * kBlockW);
       const vf y = load(lanes.y) + S(ty + block / kBlocksX * kBlockH);
-      const Hit<S> h = hit(r, x, y, f.near);
-      const vf T = load(T_[block]);
-      vi on = h.visible & (T > 0);
-      const vf bump = exp_of(h.rho * S(-0.5)), raw = r[9] * bump;
-      vf alpha = min_of(raw, all(S(kMaxAlpha)));
-      alpha = on ? alpha : vf{};
-      const vf next_T = T - T * alpha;
-      const vi full = on & (next_T < S(kMinTransmittance));
-      on &= ~full;
-      const vf w = on ? alpha * T : vf{};
-      store(T_[block], full ? -T : next_T);
-      vf D = load(g[block][C]), gz{};
-      for (int c = 0; c < C; ++c) {
-        const vf gc = load(g[block][c]);
-        D += r[kRecordHead + c] * gc;
-        G[kGradHead + c] += w * gc;
-      }
-      if (X >= 1) {
-        const vf g_depth = load(g[block][X >= 1 ? C + 1 : 0]);
-        D += h.z * g_depth;
-        gz = w * g_depth;
-        gz += (on & (T > S(0.5)) & (next_T <= S(0.5))) ? load(g[block][X >= 1 ? C + 2 : 0]) : vf{};
-      }
-      if (X >= 2) {
-        const vf gd = load(g[block][X >= 2 ? C + 3 : 0]), iz = reciprocal(h.z), m = f.near * iz;
-        const vf A = load(M[block][0]), m1 = load(M[block][X >= 2 ? 1 : 0]), m2 = load(M[block][X >= 2 ? 2 : 0]);
-        D += gd * (m * m * A + m2 - 2 * m * m1);
-        gz -= 2 * w * gd * (m * A - m1) * m * iz;
-      }
-      const vf R = load(R_[block]) - w * D;
-      store(R_[block], R);
-      vf g_alpha = on ? T * D - R * reciprocal(1 - alpha) : vf{};
-      g_alpha = raw > S(kMaxAlpha) ? vf{} : g_alpha;
-      G[9] += g_alpha * bump;
-      const vf g_rho = S(-0.5) * g_alpha * alpha;
-      const vf on_disc = h.on_disc ? g_rho : vf{}, low_pass = g_rho - on_disc;
-      const vf gu = 2 * h.u * on_disc, gv = 2 * h.v * on_disc;
-      const vf gpx = gu * h.iq, gpy = gv * h.iq;
-      const vf gz_disc = h.has_hit ? gz * h.iq : vf{};
-      G[8] += h.has_hit ? gz_disc : gz;
-      const vf gq = -(h.u * gpx + h.v * gpy) - gz_disc * h.z;
-      const vf gdx = gpx * r[2] + gpy * r[4] + gq * r[6] + 4 * h.dx * low_pass;
-      const vf gdy = gpx * r[3] + gpy * r[5] + gq * r[7] + 4 * h.dy * low_pass;
-      G[0] -= gdx;
-      G[1] -= gdy;
-      G[2] += gpx * h.dx;
-      G[3] += gpx * h.dy;
-      G[4] += gpy * h.dx;
-      G[5] += gpy * h.dy;
-      G[6] += gq * h.dx;
-      G[7] += gq * h.dy;
-      G[10] += abs_of(gdx);
-      G[11] += abs_of(gdy);
+      replay<S, C, X>(f.near, r, x, y, t, block, G);
     }
-    alignas(64) S sums[(width + 15) / 16 * 16];
-    lane_sums(G, width, sums);
-    for (int c = 0; c < width; ++c) slot[c] = sums[c];
+    lane_sums(G, width, slots + int64_t(f.entries[e].slot) * width);
   }
 }
 

@@ -4,10 +4,18 @@ template <class S> struct Simd;
 template <> struct Simd<float> {
   typedef float vf __attribute__((vector_size(LANES * 4)));
   typedef int32_t vi __attribute__((vector_size(LANES * 4)));
+#if defined(__AVX512F__) && LANES == 16
+  struct vm {
+    __mmask16 m;
+  };
+#else
+  using vm = vi;
+#endif
 };
 template <> struct Simd<double> {
   typedef double vf __attribute__((vector_size(LANES * 8)));
   typedef int64_t vi __attribute__((vector_size(LANES * 8)));
+  using vm = vi;
 };
 using vf32 = Simd<float>::vf;
 using vi32 = Simd<float>::vi;
@@ -25,6 +33,16 @@ template <class I> inline bool any_lane(I m) {
   for (int i = 0; i < LANES; ++i) hit |= m[i] != 0;
   return hit;
 }
+// Comparisons give a vm, a set of lanes: a mask register where there are such, else vectors of -1 and 0.
+template <class V> inline auto less(V a, V b) { return a < b; }
+template <class V> inline auto at_most(V a, V b) { return a <= b; }
+template <class M, class V> inline V select(M m, V a, V b) { return m ? a : b; }
+template <class M, class V> inline V keep(M m, V a) { return m ? a : V{}; }  // 0 elsewhere
+template <class M> inline uint64_t bits_of(M m) {
+  uint64_t bits = 0;
+  for (int i = 0; i < LANES; ++i) bits |= uint64_t(m[i] & 1) << i;
+  return bits;
+}
 template <class V> inline V min_of(V a, V b) { return a < b ? a : b; }
 template <class V> inline V max_of(V a, V b) { return a > b ? a : b; }
 template <class V> inline V reciprocal(V x) { return 1 / x; }
@@ -35,6 +53,16 @@ inline Simd<double>::vf sqrt_of(Simd<double>::vf x) {
 }
 
 #if defined(__AVX512F__) && LANES == 16
+using vm32 = Simd<float>::vm;
+inline vm32 operator&(vm32 a, vm32 b) { return {__mmask16(a.m & b.m)}; }
+inline vm32 operator|(vm32 a, vm32 b) { return {__mmask16(a.m | b.m)}; }
+inline vm32 operator~(vm32 a) { return {__mmask16(~a.m)}; }
+inline bool any_lane(vm32 m) { return m.m != 0; }
+inline uint64_t bits_of(vm32 m) { return m.m; }
+inline vm32 less(vf32 a, vf32 b) { return {_mm512_cmp_ps_mask((__m512)a, (__m512)b, _CMP_LT_OQ)}; }
+inline vm32 at_most(vf32 a, vf32 b) { return {_mm512_cmp_ps_mask((__m512)a, (__m512)b, _CMP_LE_OQ)}; }
+inline vf32 select(vm32 m, vf32 a, vf32 b) { return (vf32)_mm512_mask_blend_ps(m.m, (__m512)b, (__m512)a); }
+inline vf32 keep(vm32 m, vf32 a) { return (vf32)_mm512_maskz_mov_ps(m.m, (__m512)a); }
 inline bool any_lane(vi32 m) { return _mm512_test_epi32_mask((__m512i)m, (__m512i)m) != 0; }
 inline vf32 min_of(vf32 a, vf32 b) { return (vf32)_mm512_min_ps((__m512)a, (__m512)b); }
 inline vf32 max_of(vf32 a, vf32 b) { return (vf32)_mm512_max_ps((__m512)a, (__m512)b); }
@@ -45,6 +73,7 @@ inline vf32 reciprocal(vf32 x) {
 inline vf32 abs_of(vf32 x) { return (vf32)_mm512_abs_ps((__m512)x); }
 inline vf32 sqrt_of(vf32 x) { return (vf32)_mm512_sqrt_ps((__m512)x); }
 #elif defined(__AVX2__) && LANES == 8
+inline uint64_t bits_of(vi32 m) { return uint32_t(_mm256_movemask_ps((__m256)m)); }
 inline bool any_lane(vi32 m) { return !_mm256_testz_si256((__m256i)m, (__m256i)m); }
 inline vf32 min_of(vf32 a, vf32 b) { return (vf32)_mm256_min_ps((__m256)a, (__m256)b); }
 inline vf32 max_of(vf32 a, vf32 b) { return (vf32)_mm256_max_ps((__m256)a, (__m256)b); }
@@ -60,19 +89,23 @@ inline vf32 sqrt_of(vf32 x) {
 }
 #endif
 
-// e^x for x <= 0; below e^-60 it is 0 to any sum it enters.
+// e^x for x <= 0, to 1e-7 of it; from e^-86 on, a number too small to matter.
 inline vf32 exp_of(vf32 x) {
-  const vf32 t = max_of(x * 1.44269504f, all(-86.f));
+  const vf32 t = max_of(x * 1.44269504f, all(-124.f));
+#if defined(__AVX512F__) && LANES == 16
+  const vf32 i = (vf32)_mm512_roundscale_ps((__m512)t, 0), f = t - i;
+#else
   const vi32 i = __builtin_convertvector(t - 0.5f, vi32);
   const vf32 f = t - __builtin_convertvector(i, vf32);
-  vf32 p = all(1.5403530e-4f);
-  p = p * f + 1.3333558e-3f;
-  p = p * f + 9.6181291e-3f;
-  p = p * f + 5.5504109e-2f;
-  p = p * f + 2.4022651e-1f;
-  p = p * f + 6.9314718e-1f;
-  p = p * f + 1.f;
+#endif
+  const vf32 low = 6.931469671e-1f * f + 1.000000072f, middle = 5.550713274e-2f * f + 2.402211972e-1f;
+  const vf32 high = 1.327647206e-3f * f + 9.675541407e-3f, f2 = f * f;  // by pairs: a shorter chain
+  const vf32 p = (high * f2 + middle) * f2 + low;
+#if defined(__AVX512F__) && LANES == 16
+  return (vf32)_mm512_scalef_ps((__m512)p, (__m512)i);
+#else
   return p * (vf32)((i + 127) << 23);
+#endif
 }
 inline Simd<double>::vf exp_of(Simd<double>::vf x) {
   Simd<double>::vf r;
