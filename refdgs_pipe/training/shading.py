@@ -91,7 +91,8 @@ def pixel_rays(camera: Pinhole) -> Tensor:
     y = (torch.arange(camera.height) + 0.5 - camera.cy) / camera.fy
     gx, gy = torch.meshgrid(x, y, indexing="xy")
     rays = torch.stack([gx, gy, torch.ones_like(gx)], -1)
-    return rays / rays.norm(dim=-1, keepdim=True)
+    unit: Tensor = rays / rays.norm(dim=-1, keepdim=True)
+    return unit
 
 
 def _concatenated(scene: Scene) -> tuple[Surfels, Tensor]:
