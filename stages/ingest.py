@@ -3,7 +3,7 @@
 from pydantic import Field
 
 from refdgs_pipe.artifacts.capture import Capture
-from refdgs_pipe.artifacts.views import Views
+from refdgs_pipe.artifacts.views import Skipped, View, Views
 from refdgs_pipe.params import Params
 from refdgs_pipe.pipeline.stage import Job, stage
 
@@ -33,7 +33,7 @@ def ingest(capture: Capture, params: IngestParams, job: Job) -> Views:
     found = read_capture(capture.layout())
     plan = plan_set(found.frames, max_side=params.max_side)
     frames, twins = without_twins(found.frames, plan.raw)
-    results = [*found.skipped, *twins]
+    results: list[View | Skipped] = [*found.skipped, *twins]
     for done, result in enumerate(prepare_set(frames, job.folder, plan, threads=job.threads)):
         job.progress("reading photos", done, len(frames))
         results.append(result)

@@ -15,19 +15,15 @@ Point = tuple[float, float, float]
 class SfmParams(Params):
     """Structure from motion. A given up axis or ball is in the frame of the automatic result."""
 
-    max_side: int = Field(
-        1600, ge=100, le=16384, description="features are found at this long side, in pixels"
-    )
+    max_side: int = Field(1600, ge=100, le=16384, description="photos to this long side, in pixels")
     max_features: int = Field(8192, ge=100, le=65536, description="features per photo, a count")
-    first_octave: int = Field(
-        0, ge=-1, le=2, description="-1 doubles the image first: more features, 4 times slower"
+    first_octave: int | None = Field(
+        None, ge=-1, le=2, description="-1 doubles photos first, slower; none: if below 1000 pixels"
     )
     masks: Literal["auto", "object", "background", "none"] = Field(
         "auto", description="where features count; auto tries none, then object, then background"
     )
-    min_registered: float = Field(
-        0.7, ge=0, le=1, description="share of the photos that must find their place"
-    )
+    min_registered: float = Field(0.7, ge=0, le=1, description="share of photos to be placed")
     up: Point | None = Field(None, description="up axis, a direction; none finds it")
     ball_center: Point | None = Field(None, description="object ball's centre, world units")
     ball_radius: float | None = Field(None, gt=0, description="object ball's radius, world units")
@@ -39,16 +35,13 @@ def sfm(views: Views, params: SfmParams, job: Job) -> SparseModel:
     from refdgs_pipe.child import call_in_child
     from refdgs_pipe.sfm.known import model_from_known_poses
     from refdgs_pipe.sfm.posed import check_registered, model_from_poses
-    from refdgs_pipe.sfm.poses import Effort, Poses
+    from refdgs_pipe.sfm.poses import Effort
     from refdgs_pipe.sfm.report import figures, overridden, warnings_about
     from refdgs_pipe.sfm.solve import solve
 
-    def run(arguments: dict[str, Any]) -> Poses | None:
-        call = "refdgs_pipe.sfm.colmap:reconstruct"
-        found: Poses | None = call_in_child(
-            call, arguments, stop=job.stop, on_progress=job.progress
-        )
-        return found
+    def run(arguments: dict[str, Any]) -> Any:
+        target = "refdgs_pipe.sfm.colmap:reconstruct"
+        return call_in_child(target, arguments, stop=job.stop, on_progress=job.progress)
 
     if views.has_known_poses:
         poses, model = None, model_from_known_poses(views)

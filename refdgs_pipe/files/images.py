@@ -96,13 +96,15 @@ def read_photo(path: Path, *, upright: bool = True) -> Pixels:
 
 def orient(pixels: Pixels, orientation: int) -> Pixels:
     """Turn pixels (H, W, ...) as EXIF orientation 1 to 8 asks (TIFF 6.0 section 8)."""
+    turned: Any = pixels
     if orientation in (5, 6, 7, 8):
-        pixels = pixels.swapaxes(0, 1)
+        turned = turned.swapaxes(0, 1)
     if orientation in (2, 3, 6, 7):
-        pixels = pixels[:, ::-1]
+        turned = turned[:, ::-1]
     if orientation in (3, 4, 7, 8):
-        pixels = pixels[::-1]
-    return np.ascontiguousarray(pixels)
+        turned = turned[::-1]
+    out: Pixels = np.ascontiguousarray(turned)
+    return out
 
 
 def read_png(path: Path) -> Pixels:
@@ -118,7 +120,8 @@ def read_png(path: Path) -> Pixels:
     image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) else None
     if image is None:
         raise CorruptError(f"{path}: damaged PNG")
-    return _rgb(image)
+    out: Pixels = _rgb(image)
+    return out
 
 
 def write_png(path: Path, pixels: Pixels) -> None:
@@ -156,7 +159,7 @@ def _is_16bit(path: Path, data: bytes) -> bool:
     if kind == "tiff":
         with _open(BytesIO(data), kind) as image:
             bits = getattr(image, "tag_v2", {}).get(258, (8,))
-            return max(np.atleast_1d(np.array(bits))) > 8
+            return int(np.max(bits)) > 8
     return False
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from refdgs_pipe.artifacts.capture import Frame
-from refdgs_pipe.artifacts.views import Background, KnownPoints, Skipped, View, Views
+from refdgs_pipe.artifacts.views import Background, ColorSpace, KnownPoints, Skipped, View, Views
 from refdgs_pipe.errors import CaptureError
 from refdgs_pipe.imaging.quality import blurred
 
@@ -43,7 +43,7 @@ def gather_views(
     background: Background = "photo"
     if masked:
         background = "removed" if masked == len(items) and not drawn else "masked"
-    space = "linear" if linear else "srgb"
+    space: ColorSpace = "linear" if linear else "srgb"
     return Views(folder, tuple(items), space, background, skipped, points)
 
 

@@ -90,11 +90,13 @@ def prepare_photo(frame: Frame, folder: Path, plan: Plan) -> View:
     pixels, orientation = _read(frame, exif, plan)
     mask = _mask(frame, pixels, orientation, plan)
     stored = (pixels.shape[1], pixels.shape[0])
-    pixels, mask = _reduce(pixels[..., :3], mask, plan.max_side)
+    alpha = mask if frame.mask is None else None
+    pixels = _reduce(pixels[..., :3], plan.max_side, alpha=alpha)
     height, width = pixels.shape[:2]
     write_png(folder / "images" / f"{frame.name}.png", pixels)
     if mask is not None:
-        write_png(folder / "masks" / f"{frame.name}.png", mask)
+        small = cv2.resize(mask, (width, height), interpolation=cv2.INTER_AREA)
+        write_png(folder / "masks" / f"{frame.name}.png", np.asarray(small, np.uint8))
     unit = pixels.astype(np.float32) / np.float32(np.iinfo(pixels.dtype).max)
     sharpness, exposure = sharpness_and_exposure(srgb_from_linear(unit) if plan.linear else unit)
     return View(
@@ -148,17 +150,22 @@ def _mask(frame: Frame, pixels: Pixels, orientation: int, plan: Plan) -> U8 | No
     return np.asarray(resized, np.uint8)
 
 
-def _reduce(pixels: Pixels, mask: U8 | None, max_side: int) -> tuple[Pixels, U8 | None]:
-    """Average down to at most `max_side`; colour is weighted by an alpha mask's coverage."""
+def _reduce(pixels: Pixels, max_side: int, *, alpha: U8 | None) -> Pixels:
+    """Average down to at most `max_side`; behind an alpha channel colour is weighted by it."""
     height, width = pixels.shape[:2]
     scale = max_side / max(height, width)
     if scale >= 1:
-        return np.ascontiguousarray(pixels), mask
+        return pixels
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
-    small = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
-    if mask is None:
-        return np.asarray(small), None
-    return np.asarray(small), np.asarray(cv2.resize(mask, size, interpolation=cv2.INTER_AREA))
+    out: Pixels
+    if alpha is None:
+        out = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
+    else:
+        weight = alpha.astype(np.float32)[..., None] / np.float32(255) + np.float32(1e-4)
+        total = cv2.resize(pixels.astype(np.float32) * weight, size, interpolation=cv2.INTER_AREA)
+        weight = cv2.resize(weight, size, interpolation=cv2.INTER_AREA)[..., None]
+        out = (total / weight).round().astype(pixels.dtype)
+    return out
 
 
 def _resized_pose(

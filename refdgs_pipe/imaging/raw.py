@@ -86,7 +86,7 @@ def develop(path: Path, exif: Exif, plan: Development) -> NDArray[np.uint16]:
     if plan.exposure is None or own is None:
         return np.asarray(linear, np.uint16)
     scaled = linear.astype(np.float32) * np.float32(plan.exposure / own)
-    return np.clip(scaled, 0, 65535).round().astype(np.uint16)
+    return np.asarray(np.clip(scaled, 0, 65535).round(), np.uint16)
 
 
 def exposure_of(exif: Exif) -> float | None:

@@ -41,7 +41,7 @@ def focus_point(cameras: tuple[Camera, ...]) -> F64:
         point = np.linalg.solve(total, np.einsum("n,nij,nj->i", weights, across, centers))
         misses = np.linalg.norm(np.einsum("nij,nj->ni", across, point - centers), axis=1)
         weights = 1.0 / np.maximum(misses, 0.1 * np.median(misses) + 1e-9)
-    return point
+    return np.asarray(point, np.float64)
 
 
 def seen_radius(cameras: tuple[Camera, ...], center: F64, *, share: float = 0.8) -> float:

@@ -5,6 +5,7 @@ Equal inputs give equal poses: ids follow the names, mapping runs on one thread 
 """
 
 import shutil
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,8 @@ from refdgs_pipe.sfm.poses import Effort, OnProgress, Poses, Shots
 
 SEED = 0
 PHOTOS_A_STEP = 4  # times the threads: between steps there is progress
-PAIRS_A_STEP = 100
+PAIRS_A_STEP = 250  # each step indexes its photos' features anew
+DOUBLED_UP_TO = 1000  # px
 EXHAUSTIVE_UP_TO = 150  # photos; above it neighbours in name order are matched first
 GLOBAL_BELOW = 0.9  # share registered under which the global mapper is tried too
 PHOTOS_FOR_OPENCV = 16  # with fewer its eight parameters are not well determined
@@ -47,6 +49,9 @@ def reconstruct(
     database = scratch / "database.db"
     files = sorted(file for group in shots for file in group.files)
     _register(database, shots)
+    doubled = max(max(group.width, group.height) for group in shots) <= DOUBLED_UP_TO
+    octave = effort.first_octave if effort.first_octave is not None else -int(doubled)
+    effort = replace(effort, first_octave=octave)
     _extract(database, images, masks, effort, progress, files)
     _match(database, files, effort, progress)
     best = _incremental(database, images, scratch / "incremental", progress, len(files))
@@ -136,7 +141,7 @@ def _match_pairs(
     verification.ransac.random_seed = SEED
     pairing = pycolmap.ImportedPairingOptions()
     pairing.match_list_path = database.with_name("pairs.txt")
-    step = max(PAIRS_A_STEP, len(pairs) // 50)
+    step = max(PAIRS_A_STEP, len(pairs) // 30)
     for start in range(0, len(pairs), step):
         progress("matching pairs", start, len(pairs))
         lines = [f"{a} {b}\n" for a, b in pairs[start : start + step]]
