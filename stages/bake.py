@@ -36,7 +36,7 @@ class BakeParams(Params):
         return size
 
 
-@stage(version=1, programs=("open3d-cpu",))
+@stage(version=2, programs=("open3d-cpu",))
 def bake(
     mesh: UvMesh, field: SurfelField, model: SparseModel, params: BakeParams, job: Job
 ) -> TexturedMesh:

@@ -15,6 +15,10 @@ Ints = NDArray[np.int64]
 _CHANNELS = 7  # diffuse 3, roughness 1, normal 3
 _MIN_ALPHA = 0.5
 _MIN_COSINE = 0.2
+# Where the views' normals lie further apart than this (1.7 degrees), the mesh's own count more.
+# Exact maps: 0.4 degrees off the truth, the mesh 1.6. A field of 1500 steps: maps
+# 12.0, mesh 11.0, this mixture 11.2.
+_NORMAL_SPREAD = 0.03
 _CHUNK = 1 << 18
 _ROW = 1024  # cv2.remap refuses more than 32767 rows or columns
 
@@ -85,7 +89,7 @@ class Gather:
                 "no view shows any part of the mesh: the mesh and the cameras do not belong "
                 "together. Run extract again, or drop the adopted mesh"
             )
-        values, spread = np.zeros((count, _CHANNELS), np.float32), np.zeros(count, np.float32)
+        values, spread = np.zeros((count, _CHANNELS), np.float32), np.zeros((count, 2), np.float32)
         for start in range(0, count, _CHUNK):
             part = slice(start, start + _CHUNK)
             values[part], spread[part] = _combined(self._samples[part], self._weights[part])
@@ -94,9 +98,10 @@ class Gather:
             everything = np.concatenate([values[:, :4], specular], 1)
             everything[~seen] = _from_nearest(self.points, everything, seen)
             values[:, :4], specular = everything[:, :4], everything[:, 4:]
-        normal = np.where(seen[:, None], values[:, 4:], self.normals)
+        doubt = (spread[:, 1:] / _NORMAL_SPREAD) ** 2
+        normal = np.where(seen[:, None], values[:, 4:] + doubt * self.normals, self.normals)
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-6)
-        confidence = (1 - np.exp(-self._total / 0.7)) / (1 + (spread / 0.1) ** 2)
+        confidence = (1 - np.exp(-self._total / 0.7)) / (1 + (spread[:, 0] / 0.1) ** 2)
         return Surface(
             values[:, :3],
             values[:, 3],
@@ -152,13 +157,13 @@ def _bilinear(values: F32, pixels: F32) -> F32:
 
 
 def _combined(samples: NDArray[np.float16], weights: F32) -> tuple[F32, F32]:
-    """(N, 7) robust mean of samples (N, K, 7) and (N,) how far they lie apart in diffuse colour.
+    """(N, 7) robust mean of samples (N, K, 7); (N, 2) how far apart colours and normals lie.
 
     Iteratively reweighted (Cauchy): a sample that disagrees with the others loses its weight.
     """
     values = samples.astype(np.float32)
     out = np.zeros((len(values), _CHANNELS), np.float32)
-    spread = np.zeros(len(values), np.float32)
+    spread = np.zeros((len(values), 2), np.float32)
     for channels, least in ((slice(0, 3), 0.02), (slice(3, 4), 0.03), (slice(4, 7), 0.03)):
         part: F32 = values[..., channels]
         trust: F32 = weights
@@ -168,8 +173,8 @@ def _combined(samples: NDArray[np.float16], weights: F32) -> tuple[F32, F32]:
             trust = (weights / (1 + (apart / scale) ** 2)).astype(np.float32)
             mean, apart = _mean(part, trust)
         out[:, channels] = mean
-        if channels.start == 0:
-            spread = _mean(apart[..., None], trust)[0][:, 0]
+        if channels.start != 3:
+            spread[:, channels.start // 4] = _mean(apart[..., None], weights)[0][:, 0]
     return out, spread
 
 

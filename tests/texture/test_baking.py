@@ -167,3 +167,18 @@ def test_tangent_space_turns_back_to_the_same_normals() -> None:
     rise = np.array([0, 1, 0]) - mesh.normals[north] * mesh.normals[north][:, 1:2]
     sign = np.sign(((mesh.uv[north, 1] - 0.5) * mesh.vertices[north, 1]).sum())
     assert (-sign * (up * rise).sum(1) > 0).mean() > 0.95
+
+
+def test_normals_that_views_disagree_on_give_way_to_the_meshs(views: list[SurfaceMap]) -> None:
+    random = np.random.default_rng(0)
+
+    def shaken(view: SurfaceMap) -> SurfaceMap:
+        normal = view.normal + 0.3 * random.normal(size=view.normal.shape)
+        normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+        here = (view.depth > 0)[..., None]
+        return replace(view, normal=np.where(here, normal, 0).astype(np.float32))
+
+    _, textured = paint([shaken(view) for view in views])
+    index, _ = texel_points(textured.mesh, 256)
+    normal = textured.normal.reshape(-1, 3)[index] / 65535 * 2 - 1
+    assert np.degrees(np.arccos(np.clip(normal[:, 2], -1, 1))).mean() < 2

@@ -84,3 +84,19 @@ def test_a_mesh_without_faces_is_refused() -> None:
     empty = Mesh(np.empty((0, 3), np.float32), np.empty((0, 3), np.int32))
     with pytest.raises(MeshError, match="no faces to unwrap"):
         charts.unwrap(empty, gutter=0.01, max_stretch=0.1, timeout_s=1)
+
+
+def test_holes_and_handles_are_counted() -> None:
+    solid = sphere(12)
+    assert charts.holes_and_handles(solid) == 0
+    punctured = TriangleMesh(solid.vertices, np.delete(solid.faces, [50, 150, 250], axis=0))
+    assert charts.holes_and_handles(punctured) == 3
+
+
+def test_a_mesh_full_of_holes_is_unwrapped_in_parts() -> None:
+    solid = sphere(40)
+    far_apart = np.arange(100, 6000, 61)
+    mesh = Mesh(solid.vertices, np.delete(solid.faces, far_apart, axis=0))
+    assert charts.holes_and_handles(mesh) > 60
+    result = charts.unwrap(mesh, gutter=4 / 1024, max_stretch=0.1667, timeout_s=60)
+    assert result.layout.method == "UVAtlas in parts" and result.refused == ()
