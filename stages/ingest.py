@@ -28,11 +28,12 @@ def ingest(capture: Capture, params: IngestParams, job: Job) -> Views:
     """Decode, turn upright, mask and measure every photo."""
     from refdgs_pipe.datasets.readers import read_capture
     from refdgs_pipe.imaging.gather import gather_views, warnings_about
-    from refdgs_pipe.imaging.photos import plan_set, prepare_set, without_twins
+    from refdgs_pipe.imaging.masks import with_masks
+    from refdgs_pipe.imaging.photos import plan_set, prepare_set
 
-    found = read_capture(capture.layout())
-    plan = plan_set(found.frames, max_side=params.max_side)
-    frames, twins = without_twins(found.frames, plan.raw)
+    layout = capture.layout()
+    found = read_capture(layout)
+    plan, frames, twins = plan_set(with_masks(found.frames, layout.masks), max_side=params.max_side)
     results: list[View | Skipped] = [*found.skipped, *twins]
     for done, result in enumerate(prepare_set(frames, job.folder, plan, threads=job.threads)):
         job.progress("reading photos", done, len(frames))

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from refdgs_pipe.artifacts.capture import Frame, Layout, relative_name, safe_names
 from refdgs_pipe.artifacts.views import KnownPoints, Skipped
 from refdgs_pipe.datasets.blender import read_blender
+from refdgs_pipe.datasets.colmap import read_colmap
+from refdgs_pipe.datasets.nerfstudio import read_nerfstudio
 
 
 @dataclass(frozen=True)
@@ -25,12 +27,17 @@ def read_capture(layout: Layout) -> Found:
     """List the photos of a capture, with masks and poses where it has them.
 
     Raises:
-        InputError: its files of known poses are damaged.
+        InputError: its files of known poses are damaged, or a lens cannot be undistorted.
         CorruptError: its COLMAP model is damaged.
     """
     if layout.kind == "blender":
         frames, skipped = read_blender(layout)
         return Found(frames, skipped, may_hold_out=False)
+    if layout.kind == "nerfstudio":
+        frames, skipped = read_nerfstudio(layout)
+        return Found(frames, skipped, may_hold_out=all(f.split == "train" for f in frames))
+    if layout.kind == "colmap":
+        return Found(*read_colmap(layout))
     sources = [relative_name(layout.root, path) for path in layout.photos]
     names = safe_names(sources)
     frames = [Frame(p, s, n) for p, s, n in zip(layout.photos, sources, names, strict=True)]

@@ -1,39 +1,42 @@
 """Object masks as users bring them: which file belongs to which photo, and which way round."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from refdgs_pipe.artifacts.capture import Frame
 from refdgs_pipe.errors import CaptureError
 from refdgs_pipe.files.images import read_photo
 
 U8 = NDArray[np.uint8]
 
 
-def find_masks(folder: Path, photos: Iterable[tuple[Path, str]]) -> dict[Path, Path]:
-    """photo -> its mask: NAME.png, NAME.jpg.png, any case, in the same sub-folder or flat.
+def with_masks(frames: list[Frame], folder: Path | None) -> list[Frame]:
+    """The frames with their masks from a folder: NAME.png or NAME.jpg.png, in any case.
 
-    Args:
-        photos: each path with its name relative to the capture.
+    Masks may lie flat or in the sub-folders of the photos. What a frame has already it keeps.
     """
-    files = {
-        p.relative_to(folder).as_posix().lower(): p
-        for p in sorted(folder.rglob("*"))
-        if p.is_file() and not p.name.startswith(".")
-    }
-    stems = {name.rsplit(".", 1)[0]: path for name, path in reversed(files.items())}
-    found = {}
-    for path, source in photos:
-        whole = source.lower()
-        stem, flat = whole.rsplit(".", 1)[0], path.name.lower()
-        keys = (whole, stem, flat, flat.rsplit(".", 1)[0])
-        match = next((stems[key] for key in keys if key in stems), None)
-        if match is not None:
-            found[path] = match
-    return found
+    if folder is None:
+        return frames
+    found: dict[str, Path] = {}
+    for path in sorted(folder.rglob("*")):
+        if path.is_file() and not path.name.startswith("."):
+            found.setdefault(_stem(path.relative_to(folder).as_posix()), path)
+    out = []
+    for frame in frames:
+        whole, flat = frame.source.lower(), frame.path.name.lower()
+        keys = (whole, _stem(whole), flat, _stem(flat))
+        mask = frame.mask or next((found[key] for key in keys if key in found), None)
+        out.append(replace(frame, mask=mask))
+    return out
+
+
+def _stem(name: str) -> str:
+    return name.lower().rsplit(".", 1)[0]
 
 
 def read_mask(path: Path, *, inverted: bool = False) -> U8:

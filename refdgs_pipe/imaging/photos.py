@@ -39,25 +39,26 @@ class Plan:
     inverted_masks: bool
 
 
-def plan_set(frames: list[Frame], *, max_side: int) -> Plan:
-    """Look at all files once and decide how to treat them alike."""
-    raw = [frame.path for frame in frames if is_raw(frame.path)]
-    pictures = [f for f in frames if f.path in set(raw) or sniff(f.path)]
-    development = plan_development([(p, read_exif(p)) for p in raw]) if raw else None
-    inverted = are_inverted(_readable_masks(frames))
-    return Plan(max_side, frozenset(raw), development, len(raw) == len(pictures) > 0, inverted)
+def plan_set(frames: list[Frame], *, max_side: int) -> tuple[Plan, list[Frame], list[Skipped]]:
+    """Look at all files once and decide how to treat them alike.
 
-
-def without_twins(frames: list[Frame], raw: frozenset[Path]) -> tuple[list[Frame], list[Skipped]]:
-    """Drop the JPEG that a camera wrote beside a RAW file of the same name."""
+    Returns:
+        The plan, the frames to read, and those left out because the camera wrote the same photo
+        as RAW too.
+    """
+    raw = frozenset(frame.path for frame in frames if is_raw(frame.path))
     stems = {path.with_suffix("") for path in raw}
-    kept, skipped = [], []
+    kept, twins = [], []
     for frame in frames:
         if frame.path not in raw and frame.path.with_suffix("") in stems:
-            skipped.append(Skipped(frame.source, "the same photo is there as camera RAW"))
+            twins.append(Skipped(frame.source, "the same photo is there as camera RAW"))
         else:
             kept.append(frame)
-    return kept, skipped
+    pictures = sum(frame.path in raw or sniff(frame.path) != "" for frame in kept)
+    development = plan_development([(p, read_exif(p)) for p in sorted(raw)]) if raw else None
+    inverted = are_inverted(_readable_masks(kept))
+    plan = Plan(max_side, raw, development, len(raw) == pictures > 0, inverted)
+    return plan, kept, twins
 
 
 def prepare_set(
