@@ -23,7 +23,7 @@ class IngestParams(Params):
     )
 
 
-@stage(version=1, programs=("opencv-contrib-python-headless", "pillow", "rawpy"))
+@stage(version=2, programs=("opencv-contrib-python-headless", "pillow", "rawpy"))
 def ingest(capture: Capture, params: IngestParams, job: Job) -> Views:
     """Decode, turn upright, mask and measure every photo."""
     from refdgs_pipe.datasets.readers import read_capture

@@ -29,7 +29,7 @@ class SfmParams(Params):
     ball_radius: float | None = Field(None, gt=0, description="object ball's radius, world units")
 
 
-@stage(version=1, programs=("pycolmap",))
+@stage(version=2, programs=("pycolmap",))
 def sfm(views: Views, params: SfmParams, job: Job) -> SparseModel:
     """Pose the photos; poses that came with them are kept."""
     from refdgs_pipe.child import call_in_child

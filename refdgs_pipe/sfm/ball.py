@@ -14,6 +14,8 @@ F32 = NDArray[np.float32]
 GRID = 64  # cells along an edge of the carved cube
 MASK_SIDE = 200  # px: masks for carving a coarse grid need no more
 CARVING_PHOTOS = 40
+GROWTH = 1.6
+CROWDED_RIM = 0.85  # radii; 0.6 was measured where the ball fits, 1.0 where it was too small
 MARGIN = 1.03  # the soft rim of masks, and the cells' size
 
 
@@ -27,6 +29,23 @@ def object_ball(cameras: tuple[Camera, ...], views: Views) -> Ball:
     masked = masked[:: -(-len(masked) // CARVING_PHOTOS)]
     carved = carved_ball(masked, [_small_mask(views, camera.name) for camera in masked], guess)
     return carved or guess
+
+
+def grown_ball(ball: Ball, solid: F64) -> Ball:
+    """The ball, enlarged if the points that are on no wall or table lie at its rim and around it.
+
+    What most photos show whole is too small where photos are narrow or close: at most 1.6 times.
+
+    Args:
+        solid: (n, 3) points on no large plane, near the ball.
+    """
+    near = solid[np.linalg.norm(solid - ball.center, axis=1) < GROWTH * ball.radius]
+    middle = np.median(np.linalg.norm(near - ball.center, axis=1)) if len(near) >= 100 else 0.0
+    if middle < CROWDED_RIM * ball.radius:
+        return ball
+    center = (ball.center + np.median(near, axis=0)) / 2
+    reach = float(np.quantile(np.linalg.norm(near - center, axis=1), 0.95))
+    return Ball(center, float(np.clip(reach, ball.radius, GROWTH * ball.radius)))
 
 
 def focus_point(cameras: tuple[Camera, ...]) -> F64:
@@ -44,7 +63,7 @@ def focus_point(cameras: tuple[Camera, ...]) -> F64:
     return np.asarray(point, np.float64)
 
 
-def seen_radius(cameras: tuple[Camera, ...], center: F64, *, share: float = 0.8) -> float:
+def seen_radius(cameras: tuple[Camera, ...], center: F64, *, share: float = 0.5) -> float:
     """Radius of the largest ball around `center` that this share of the photos shows whole."""
     radii = []
     for camera in cameras:

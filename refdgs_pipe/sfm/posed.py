@@ -11,10 +11,10 @@ from refdgs_pipe.artifacts.views import View, Views
 from refdgs_pipe.camera import Camera, Lens
 from refdgs_pipe.errors import PoseError
 from refdgs_pipe.files.colmap import opencv_lens
-from refdgs_pipe.sfm.ball import object_ball
+from refdgs_pipe.sfm.ball import grown_ball, object_ball
 from refdgs_pipe.sfm.frame import moved, world_from_sfm
 from refdgs_pipe.sfm.poses import Poses, Shots
-from refdgs_pipe.sfm.support import level_up, support_plane
+from refdgs_pipe.sfm.support import level_up, off_planes, support_plane
 
 NAMES_SHOWN = 8
 
@@ -91,6 +91,8 @@ def in_world_frame(model: SparseModel, views: Views) -> SparseModel:
     """Find up, support and ball, and move everything so that they are z, the origin and 1."""
     up = level_up(model.cameras)
     ball = object_ball(model.cameras, views)
+    if views.background == "photo":
+        ball = grown_ball(ball, off_planes(model.points, ball.center, ball.radius))
     plane = support_plane(model.points, ball.center, ball.radius, up)
     up = up if plane is None else plane.normal
     front = model.cameras[0].center

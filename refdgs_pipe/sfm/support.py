@@ -9,6 +9,8 @@ from refdgs_pipe.camera import F64, Camera
 TRIALS = 2000
 TOLERANCE = 0.01  # thickness of the plane either side, in ball radii
 NEAR = 2.5  # points farther from the ball's centre do not vote, in ball radii
+PLANES = 3  # walls and tables that can stand around an object
+PLANE_SHARE = 0.15  # of the points near by, that a plane must hold to be a wall or a table
 TILT_DEG = 25.0  # the support may lean so far against the photos' own idea of up
 
 
@@ -68,11 +70,36 @@ def support_plane(points: F64, center: F64, radius: float, up: F64) -> Plane | N
             continue
         if best is None or plane.support > best.support:
             best = plane
-    if best is None or best.support < max(30, 0.15 * len(near)):
+    if best is None or best.support < max(30, PLANE_SHARE * len(near)):
         return None
     on = near[np.abs(best.heights(near)) < TOLERANCE * radius]
     _, _, directions = np.linalg.svd(on - on.mean(0))
     return _plane_through(directions[2], on.mean(0), near, up, TOLERANCE * radius) or best
+
+
+def off_planes(points: F64, center: F64, radius: float) -> F64:
+    """(n, 3) the points near by that lie on no large plane: not the table, not a wall.
+
+    Args:
+        points: (P, 3) sparse points; center, radius: a first guess of the object ball.
+    """
+    left = points[np.linalg.norm(points - center, axis=1) < NEAR * radius]
+    rng = np.random.default_rng(0)
+    for _ in range(PLANES):
+        if len(left) < 30:
+            break
+        corners = left[rng.integers(0, len(left), (TRIALS, 3))]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        lengths = np.linalg.norm(normals, axis=1)
+        corners, normals = corners[lengths > 0], normals[lengths > 0] / lengths[lengths > 0, None]
+        offsets = (normals * corners[:, 0]).sum(1)
+        sample = left[rng.integers(0, len(left), min(len(left), 1000))]
+        close = np.abs(sample @ normals.T - offsets) < TOLERANCE * radius
+        best = int(close.sum(0).argmax())
+        if close[:, best].mean() < PLANE_SHARE:
+            break
+        left = left[np.abs(left @ normals[best] - offsets[best]) > 4 * TOLERANCE * radius]
+    return left
 
 
 def _plane_through(normal: F64, point: F64, near: F64, up: F64, tolerance: float) -> Plane | None:
