@@ -33,8 +33,10 @@ def ingest(capture: Capture, params: IngestParams, job: Job) -> Views:
 
     layout = capture.layout()
     found = read_capture(layout)
-    plan, frames, twins = plan_set(with_masks(found.frames, layout.masks), max_side=params.max_side)
-    results: list[View | Skipped] = [*found.skipped, *twins]
+    plan, frames, unread = plan_set(
+        with_masks(found.frames, layout.masks), max_side=params.max_side
+    )
+    results: list[View | Skipped] = [*found.skipped, *unread]
     for done, result in enumerate(prepare_set(frames, job.folder, plan, threads=job.threads)):
         job.progress("reading photos", done, len(frames))
         results.append(result)
@@ -49,7 +51,7 @@ def ingest(capture: Capture, params: IngestParams, job: Job) -> Views:
     for note in warnings_about(views, inverted_masks=plan.inverted_masks):
         job.warn(note)
     job.measure("photos", len(views.items))
-    job.measure("skipped", len(views.skipped))
+    job.measure("skipped", sum(not file.harmless for file in views.skipped))
     job.measure("colour space", views.color_space)
     job.measure("background", views.background)
     return views

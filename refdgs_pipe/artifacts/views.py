@@ -85,10 +85,11 @@ class View:
 
 @dataclass(frozen=True)
 class Skipped:
-    """A photo that could not be used, and why."""
+    """A file that was not used, and why. Nobody misses a `harmless` one: it was no photo."""
 
     name: str
     reason: str
+    harmless: bool = False
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,8 @@
 """Image files <-> arrays. Formats are told by content, never by suffix."""
 
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -61,10 +63,12 @@ def read_header(path: Path) -> Header:
     if kind not in _PILLOW:
         raise CaptureError(_why_unknown(path, kind))
     try:
-        with _open(path, kind) as image:
+        with _quiet(), _open(path, kind) as image:
             width, height = image.size
             orientation = int(image.getexif().get(0x0112, 1))
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+            if kind == "tiff":  # Pillow turns TIFFs, and only these, by itself
+                width, height = (int(image.getexif()[tag]) for tag in (0x0100, 0x0101))
+    except (OSError, SyntaxError, ValueError, KeyError, Image.DecompressionBombError) as error:
         raise CaptureError(f"{path.name}: damaged {kind} header ({error})") from None
     if width * height > MAX_PIXELS:
         raise CaptureError(f"{path.name}: {width} x {height} pixels; at most {MAX_PIXELS} are read")
@@ -147,9 +151,15 @@ def _why_unknown(path: Path, kind: str) -> str:
 
 
 def _open(source: Any, kind: str) -> Image.Image:
+    return Image.open(source, formats=[_PILLOW[kind]])
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Pillow warns of large sizes and odd EXIF; what matters is raised."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-        return Image.open(source, formats=[_PILLOW[kind]])
+        warnings.simplefilter("ignore")
+        yield
 
 
 def _is_16bit(path: Path, data: bytes) -> bool:
@@ -157,7 +167,7 @@ def _is_16bit(path: Path, data: bytes) -> bool:
     if kind == "png":
         return data[24] == 16
     if kind == "tiff":
-        with _open(BytesIO(data), kind) as image:
+        with _quiet(), _open(BytesIO(data), kind) as image:
             bits = getattr(image, "tag_v2", {}).get(258, (8,))
             return int(np.max(bits)) > 8
     return False
@@ -176,14 +186,16 @@ def _decode_16bit(data: bytes, header: Header) -> Pixels:
 
 
 def _decode(path: Path, header: Header) -> Pixels:
-    with _open(path, header.format) as image:
+    with _quiet(), _open(path, header.format) as image:
         image.load()
         alpha = "A" in image.getbands() or "transparency" in image.info
         profile = image.info.get("icc_profile")
         picture = image.convert("RGBA" if alpha else "RGB") if not profile else image
         if profile:
             picture = _to_srgb(image, profile, "RGBA" if alpha else "RGB")
-        return np.array(picture)
+        pixels = np.array(picture)
+        undo = {6: 8, 8: 6}.get(header.orientation, header.orientation)
+        return orient(pixels, undo) if header.format == "tiff" else pixels
 
 
 def _to_srgb(image: Image.Image, profile: bytes, mode: str) -> Image.Image:

@@ -51,7 +51,7 @@ def warnings_about(views: Views, *, inverted_masks: bool) -> list[str]:
     """What the user should know about a set: skipped and blurred photos, odd masks."""
     total = len(views.items) + len(views.skipped)
     notes = []
-    damaged = [s for s in views.skipped if not _is_harmless(s)]
+    damaged = [s for s in views.skipped if not s.harmless]
     if damaged:
         notes.append(f"{len(damaged)} of {total} files skipped: {_listed(_reasons(damaged))}")
     weak = [views.items[i].source for i in blurred([v.sharpness for v in views.items])]
@@ -70,17 +70,13 @@ def _too_few(items: Sequence[View], skipped: Sequence[Skipped]) -> str:
     advice = "20 to 60 photos from all around the object work well"
     if not skipped:
         return f"found {photos}, at least {MIN_PHOTOS} are needed; {advice}"
-    if not items and all(_is_harmless(s) for s in skipped):
+    if not items and all(s.harmless for s in skipped):
         names = _listed([s.name for s in skipped])
         return (
             f"none of the {len(skipped)} files is a photo ({names}). "
             "JPEG, PNG, TIFF, WebP and camera RAW are read"
         )
     return f"found {photos}, at least {MIN_PHOTOS} are needed. {_listed(_reasons(skipped))}"
-
-
-def _is_harmless(skipped: Skipped) -> bool:
-    return skipped.reason.endswith(("not a photo", "as camera RAW"))
 
 
 def _reasons(skipped: Sequence[Skipped]) -> list[str]:

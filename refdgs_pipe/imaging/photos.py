@@ -1,5 +1,6 @@
 """From the user's files to views: decoded, upright, masked, at most so large, in one folder."""
 
+import re
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -18,6 +19,10 @@ from refdgs_pipe.imaging.masks import U8, are_inverted, check_mask, read_mask
 from refdgs_pipe.imaging.metadata import read_exif
 from refdgs_pipe.imaging.quality import sharpness_and_exposure
 from refdgs_pipe.imaging.raw import Development, develop, is_raw, plan_development
+
+PHOTO_SUFFIX = re.compile(
+    r"\.(jpe?g|png|tiff?|webp|avif|hei[cf]|dng|cr[23]|nef|arw|raf|orf|rw2|pef|srw|kdc)", re.I
+)
 
 
 @dataclass(frozen=True)
@@ -43,22 +48,27 @@ def plan_set(frames: list[Frame], *, max_side: int) -> tuple[Plan, list[Frame], 
     """Look at all files once and decide how to treat them alike.
 
     Returns:
-        The plan, the frames to read, and those left out because the camera wrote the same photo
-        as RAW too.
+        The plan, the frames to read, and those left out: files that are no photos, and photos that
+        the camera wrote as RAW too.
     """
     raw = frozenset(frame.path for frame in frames if is_raw(frame.path))
     stems = {path.with_suffix("") for path in raw}
-    kept, twins = [], []
+    kept, skipped = [], []
     for frame in frames:
-        if frame.path not in raw and frame.path.with_suffix("") in stems:
-            twins.append(Skipped(frame.source, "the same photo is there as camera RAW"))
-        else:
+        path = frame.path
+        if path in raw or (sniff(path) and path.with_suffix("") not in stems):
             kept.append(frame)
-    pictures = sum(frame.path in raw or sniff(frame.path) != "" for frame in kept)
+        elif sniff(path):
+            skipped.append(Skipped(frame.source, "the same photo is there as camera RAW", True))
+        else:
+            called_photo = PHOTO_SUFFIX.fullmatch(path.suffix) is not None
+            reason = "empty" if path.stat().st_size == 0 else "damaged or not a photo"
+            skipped.append(Skipped(frame.source, reason, not called_photo))
     development = plan_development([(p, read_exif(p)) for p in sorted(raw)]) if raw else None
     inverted = are_inverted(_readable_masks(kept))
-    plan = Plan(max_side, raw, development, len(raw) == pictures > 0, inverted)
-    return plan, kept, twins
+    others = any(frame.path not in raw and _has_header(frame.path) for frame in kept)
+    plan = Plan(max_side, raw, development, bool(raw) and not others, inverted)
+    return plan, kept, skipped
 
 
 def prepare_set(
@@ -176,6 +186,14 @@ def _resized_pose(
         return None
     scale = np.diag([size[0] / stored[0], size[1] / stored[1], 1.0])
     return replace(known, lens=Lens(scale @ known.lens.K, known.lens.distortion))
+
+
+def _has_header(path: Path) -> bool:
+    """False for a RAW file too damaged to be known as one: it does not make its set a mixed one."""
+    try:
+        return read_header(path).width > 0
+    except CaptureError:
+        return False
 
 
 def _readable_masks(frames: list[Frame]) -> Iterator[U8]:

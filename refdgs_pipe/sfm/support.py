@@ -99,7 +99,7 @@ def off_planes(points: F64, center: F64, radius: float) -> F64:
         if close[:, best].mean() < PLANE_SHARE:
             break
         left = left[np.abs(left @ normals[best] - offsets[best]) > 4 * TOLERANCE * radius]
-    return left
+    return np.asarray(left, np.float64)
 
 
 def _plane_through(normal: F64, point: F64, near: F64, up: F64, tolerance: float) -> Plane | None:
