@@ -49,8 +49,9 @@ def moved_camera_pose(cam_from_sfm: F64, world: F64) -> F64:
     return pose
 
 
-def turned_up(model: SparseModel, up: F64) -> SparseModel:
-    """The same model, its world turned about the origin so that `up` becomes z."""
+def turned_up(model: SparseModel) -> SparseModel:
+    """The same model, its world turned about the origin so that its up axis becomes z."""
+    up = model.up
     target = np.array([0.0, 0.0, 1.0])
     axis, cosine = np.cross(up, target), float(up @ target)
     skew = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0.0]])
