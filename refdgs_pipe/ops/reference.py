@@ -84,7 +84,7 @@ def rasterize(
 def _intersect(
     P: Tensor, U: Tensor, V: Tensor, xy: Tensor, camera: Pinhole
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Disc coordinates u, v and depth of each ray's hit, and the low-pass radius^2; all (N, pixels)."""
+    """Disc coordinates u, v and depth of each ray's hit, low-pass radius^2; all (N, pixels)."""
     K = torch.tensor(
         [[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]], dtype=P.dtype
     )
