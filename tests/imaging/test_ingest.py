@@ -1,6 +1,7 @@
 """What becomes of photos, masks and RAW files, and of everything that is none of these."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,8 @@ from refdgs_pipe.color import srgb_from_linear
 from refdgs_pipe.errors import CaptureError
 from refdgs_pipe.files.images import read_png
 from refdgs_pipe.imaging.masks import are_inverted
+from refdgs_pipe.imaging.metadata import read_exif
+from refdgs_pipe.imaging.raw import develop, exposure_of, plan_development
 
 
 @pytest.fixture
@@ -320,3 +323,18 @@ def test_mixed_raw_and_jpeg_are_all_srgb(stages: Stages, photos: Path) -> None:
     assert views.color_space == "srgb"
     exposures = [view.exposure for view in views.items]
     assert max(exposures) < 1.2 * min(exposures)
+
+
+@needs_shared
+def test_raw_photos_of_different_exposures_are_brought_to_one() -> None:
+    path = SHARED / "kettle_capture" / "dng" / "IMG_0000.dng"
+    exif = read_exif(path)
+    longer = replace(exif, exposure_s=2 * (exif.exposure_s or 0))
+    plan = plan_development([(path, exif), (path, longer), (path, longer)])
+    assert plan.exposure == exposure_of(longer)
+    as_is = develop(path, longer, plan).astype(float)
+    raised = develop(path, exif, plan).astype(float)
+    unclipped = as_is < 30000
+    np.testing.assert_allclose(raised[unclipped], 2 * as_is[unclipped], atol=1)
+    same = plan_development([(path, exif), (path, exif)])
+    assert same.exposure is None and same.white_balance[1] == 1.0
