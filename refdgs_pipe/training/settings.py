@@ -10,7 +10,7 @@ from refdgs_pipe.params import Params
 class TrainParams(Params):
     """Ref-DGS training. Defaults are the `glossy` recipe."""
 
-    iterations: int = Field(6000, ge=1, le=200_000, description="optimiser steps")
+    iterations: int = Field(8000, ge=1, le=200_000, description="optimiser steps")
     max_side: int = Field(
         800, ge=32, le=8192, description="longest image side trained on, in pixels"
     )
@@ -32,10 +32,10 @@ class TrainParams(Params):
     )
     physical: bool = Field(True, description="the shader also sees roughness and cos(normal, view)")
     local_from: float = Field(
-        0.2, ge=0, le=1, description="fraction of the run after which near-field features join"
+        0.5, ge=0, le=1, description="fraction of the run after which near-field features join"
     )
     reflect_from: float = Field(
-        0.15,
+        0.45,
         ge=0,
         le=1,
         description="fraction of the run after which reflections join; matte before",
@@ -82,7 +82,7 @@ class TrainParams(Params):
     )
 
     rate_means: float = Field(
-        1.6e-4, gt=0, le=1, description="initial step of centres, in scene extents; ends at 1/100"
+        6e-4, gt=0, le=1, description="initial step of centres, in scene extents; ends at 1/100"
     )
     rate_opacities: float = Field(0.05, gt=0, le=1, description="step of raw opacities")
     rate_scales: float = Field(0.005, gt=0, le=1, description="step of log scales")
