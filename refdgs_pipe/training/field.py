@@ -11,11 +11,11 @@ from refdgs_pipe.artifacts.surfel_field import ShaderModel, SurfelField, SurfelS
 from refdgs_pipe.ops import Pinhole
 from refdgs_pipe.training import initial
 from refdgs_pipe.training.photos import TrainingPhoto
+from refdgs_pipe.training.reflection import Shader
 from refdgs_pipe.training.settings import TrainParams
 from refdgs_pipe.training.shading import Picture, Scene, sh_color
 from refdgs_pipe.training.surfels import (
     DensityRules,
-    Shader,
     TrainableSet,
     densify,
     diffuse_of,
@@ -23,6 +23,7 @@ from refdgs_pipe.training.surfels import (
 )
 
 HULL_OPACITY = 0.5
+BALL_OPACITY = 0.1
 LOCAL_OPACITY = 0.1
 BACKGROUND_OPACITY = 0.1
 BALL_MARGIN = 1.1  # object surfels may stray this far, in ball radii
@@ -90,7 +91,6 @@ class TrainableField:
         rng: np.random.Generator,
     ) -> dict[str, Tensor]:
         p, cloud = self.params, None
-        opacity = p.start_opacity
         if masked and p.start != "ball" and all(photo.mask is not None for photo in photos):
             masks = [
                 photo.mask.float().div(255).numpy() for photo in photos if photo.mask is not None
@@ -101,7 +101,7 @@ class TrainableField:
             )
             opacity = HULL_OPACITY if p.start == "hull" else p.start_opacity
         if cloud is None:
-            cloud, opacity = initial.ball_cloud(model.ball, p.surfels, rng), p.start_opacity
+            cloud, opacity = initial.ball_cloud(model.ball, p.surfels, rng), BALL_OPACITY
             inside = self._inside(torch.from_numpy(model.points)).numpy()
             if inside.any():
                 points, colors = model.points[inside], model.point_colors[inside]

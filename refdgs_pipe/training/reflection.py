@@ -1,14 +1,33 @@
 """Far and near reflections of a pixel: the Sph-Mip lookup, the mixing, the shader."""
 
+import math
+from itertools import pairwise
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from refdgs_pipe.ops import mlp, sph_mip
-from refdgs_pipe.training.surfels import Shader
 
 RADIANCE_EXPONENT = 5.0  # specular radiance is at most e^5
+
+
+class Shader(nn.Module):
+    """The learnable far-field map and the MLP that turns features into specular radiance.
+
+    Sph-Mip map (H, 2H, 4), zeros at first; MLP with 3 hidden layers of 64, ReLU, whose output is
+    exp(min(x, 5)), at first about 0.25 (method: Ref-DGS).
+    """
+
+    def __init__(self, height: int, local: str, mixing: str, physical: bool) -> None:
+        super().__init__()
+        self.local, self.mixing, self.physical = local, mixing, physical
+        inputs = 4 + (4 if mixing == "adaptive" and local != "none" else 0) + (2 if physical else 0)
+        self.environment = nn.Parameter(torch.zeros(height, 2 * height, 4))
+        layers = [nn.Linear(a, b) for a, b in pairwise([inputs, 64, 64, 64, 3])]
+        nn.init.constant_(layers[-1].bias, math.log(0.25))
+        self.weights = nn.ParameterList(layer.weight for layer in layers)
+        self.biases = nn.ParameterList(layer.bias for layer in layers)
 
 
 class _ClipThatPullsDown(torch.autograd.Function):

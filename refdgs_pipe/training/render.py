@@ -9,8 +9,8 @@ from refdgs_pipe.artifacts.surfel_field import SurfelField, SurfelSet
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.errors import DeviceError
 from refdgs_pipe.ops import Pinhole, Surfels
+from refdgs_pipe.training.reflection import Shader
 from refdgs_pipe.training.shading import Picture, Scene, draw, sh_color
-from refdgs_pipe.training.surfels import Shader
 
 F32 = NDArray[np.float32]
 SURFACE_ALPHA = 0.05

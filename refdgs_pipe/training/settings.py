@@ -62,7 +62,7 @@ class TrainParams(Params):
         60_000, ge=100, le=5_000_000, description="surfels outside the object ball at most"
     )
     start_opacity: float = Field(
-        0.03, gt=0, lt=1, description="of surfels that do not start on the hull's surface"
+        0.03, gt=0, lt=1, description="of surfels that start throughout the visual hull"
     )
     densify_from: float = Field(0.05, ge=0, le=1, description="fraction of the run")
     densify_until: float = Field(0.6, ge=0, le=1, description="fraction of the run")

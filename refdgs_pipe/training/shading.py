@@ -7,8 +7,7 @@ from torch import Tensor
 
 from refdgs_pipe.ops import Maps, Pinhole, ScreenStatistics, Surfels, rasterize
 from refdgs_pipe.ops.rasterize import Extra
-from refdgs_pipe.training.reflection import clip, specular
-from refdgs_pipe.training.surfels import Shader
+from refdgs_pipe.training.reflection import Shader, clip, specular
 
 SHADED_ALPHA = 0.05  # thinner pixels show no object
 _SH1 = 0.4886025119029199

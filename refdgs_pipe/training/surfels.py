@@ -3,10 +3,9 @@
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from itertools import pairwise
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from refdgs_pipe.artifacts.surfel_field import SurfelSet
 from refdgs_pipe.ops import Surfels, reference
@@ -116,7 +115,7 @@ class TrainableSet:
         with torch.no_grad():
             s = self.surfels()
             values = {
-                name: activated.reshape(len(self), -1).numpy().copy()
+                name: activated.reshape(len(self), math.prod(activated.shape[1:])).numpy().copy()
                 for name, activated in _carried(self.raw).items()
             }
             quats = s.quats / s.quats.norm(dim=-1, keepdim=True)
@@ -204,21 +203,3 @@ def step_all(
     for optimizer in [*optimizers, *modules]:
         optimizer.step()
         optimizer.zero_grad(set_to_none=True)
-
-
-class Shader(nn.Module):
-    """The learnable far-field map and the MLP that turns features into specular radiance.
-
-    Sph-Mip map (H, 2H, 4), zeros at first; MLP with 3 hidden layers of 64, ReLU, whose output is
-    exp(min(x, 5)), at first about 0.25 (method: Ref-DGS).
-    """
-
-    def __init__(self, height: int, local: str, mixing: str, physical: bool) -> None:
-        super().__init__()
-        self.local, self.mixing, self.physical = local, mixing, physical
-        inputs = 4 + (4 if mixing == "adaptive" and local != "none" else 0) + (2 if physical else 0)
-        self.environment = nn.Parameter(torch.zeros(height, 2 * height, 4))
-        layers = [nn.Linear(a, b) for a, b in pairwise([inputs, 64, 64, 64, 3])]
-        nn.init.constant_(layers[-1].bias, math.log(0.25))
-        self.weights = nn.ParameterList(layer.weight for layer in layers)
-        self.biases = nn.ParameterList(layer.bias for layer in layers)

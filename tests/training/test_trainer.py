@@ -167,7 +167,7 @@ def test_a_loss_that_is_not_finite_ends_training_and_keeps_the_checkpoint(tmp_pa
     trainer.step()
     trainer.save()
     with torch.no_grad():
-        trainer.field.shader.weights[0].fill_(float("nan"))
+        trainer.field.geometry.raw["raw_diffuse"].fill_(float("nan"))
     with pytest.raises(TrainingError, match="diverged at step 2"):
         trainer.step()
     found = read_checkpoint(tmp_path)
