@@ -253,6 +253,8 @@ def recipe_show_command(
 
 def main() -> None:
     """Run the command line. Errors meant for users have no traceback; others go to a log."""
+    # OpenMP threads that wait by spinning make a busy machine several times slower.
+    os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     try:
         app(prog_name="refdgs-pipe")
     except RefdgsError as error:
