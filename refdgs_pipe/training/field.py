@@ -43,6 +43,8 @@ class TrainableField:
         near: float,
     ) -> None:
         self.params, self.ball, self.near = params, model.ball, near
+        # Without masks nothing but reflections holds a mirror's surface in place from the start.
+        self.reflect_from = params.reflect_from if masked else 0.0
         cameras = [photo.camera for photo in photos]
         centers = np.stack([camera.center for camera in cameras])
         self.extent = 1.1 * float(np.linalg.norm(centers - centers.mean(0), axis=1).max())
@@ -165,7 +167,7 @@ class TrainableField:
             else None,
             background=None if self.background is None else self.background.surfels(),
             background_rgb=background_rgb,
-            shader=self.shader if fraction >= p.reflect_from else None,
+            shader=self.shader if fraction >= self.reflect_from else None,
         )
 
     def observe(self, picture: Picture, width: int) -> None:

@@ -38,7 +38,7 @@ class TrainParams(Params):
         0.45,
         ge=0,
         le=1,
-        description="fraction of the run after which reflections join; matte before",
+        description="fraction of the run after which reflections join, where there are masks",
     )
     environment_height: int = Field(
         256,
