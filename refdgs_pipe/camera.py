@@ -5,7 +5,6 @@ centre at (i + 0.5, j + 0.5). Transforms are `target_from_source`. Depth is the 
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,23 +68,6 @@ class Camera:
         with np.errstate(divide="ignore", invalid="ignore"):
             uv = (p @ self.K.T)[:, :2] / p[:, 2:]
         return uv, p[:, 2]
-
-    def to_json(self) -> dict[str, Any]:
-        return {
-            "name": self.name,
-            "width": self.width,
-            "height": self.height,
-            "K": self.K.tolist(),
-            "cam_from_world": self.cam_from_world.tolist(),
-            "split": self.split,
-        }
-
-    @classmethod
-    def from_json(cls, record: dict[str, Any]) -> "Camera":
-        K, pose = np.array(record["K"], float), np.array(record["cam_from_world"], float)
-        return cls(
-            record["name"], record["width"], record["height"], K, pose, record.get("split", "train")
-        )
 
 
 @dataclass(frozen=True)
