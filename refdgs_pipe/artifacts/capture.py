@@ -129,6 +129,18 @@ def frame_files(root: Path, record: dict[str, object]) -> tuple[Path | None, Pat
     return photo, None if mask is None else _with_suffix(root / str(mask))
 
 
+def named_frames(
+    root: Path, found: list[tuple[Path, Path | None, str, KnownPose | None]]
+) -> list[Frame]:
+    """Frames of (photo, mask, split, pose) records, named after their place below `root`."""
+    sources = [relative_name(root, photo) for photo, *_ in found]
+    names = safe_names(sources)
+    return [
+        Frame(photo, source, name, mask, split, known)
+        for (photo, mask, split, known), source, name in zip(found, sources, names, strict=True)
+    ]
+
+
 def safe_names(sources: list[str]) -> list[str]:
     """Unique names without folders or suffixes: "train/r_0.png" becomes "train_r_0"."""
     stems = [_safe(source.rsplit(".", 1)[0]) for source in sources]

@@ -1,7 +1,7 @@
 """NeRF-synthetic and Shiny Blender: transforms_train.json and transforms_test.json."""
 
 import math
-from typing import Any
+from pathlib import Path
 
 import numpy as np
 
@@ -9,10 +9,9 @@ from refdgs_pipe.artifacts.capture import (
     Frame,
     Layout,
     frame_files,
+    named_frames,
     read_frames,
     read_transforms,
-    relative_name,
-    safe_names,
 )
 from refdgs_pipe.artifacts.views import KnownPose, Skipped
 from refdgs_pipe.camera import Lens, opencv_from_opengl
@@ -26,7 +25,7 @@ def read_blender(layout: Layout) -> tuple[list[Frame], list[Skipped]]:
     Raises:
         InputError: a JSON is damaged or lacks `camera_angle_x`.
     """
-    found: list[tuple[Any, str, KnownPose]] = []
+    found: list[tuple[Path, Path | None, str, KnownPose | None]] = []
     skipped = []
     for model in layout.model:
         split = "test" if model.stem.endswith("test") else "train"
@@ -44,14 +43,8 @@ def read_blender(layout: Layout) -> tuple[list[Frame], list[Skipped]]:
                 continue
             lens = _lens(angle, header.width, header.height)
             matrix = np.array(record["transform_matrix"], float)
-            found.append((photo, split, KnownPose(lens, opencv_from_opengl(matrix))))
-    sources = [relative_name(layout.root, photo) for photo, _, _ in found]
-    names = safe_names(sources)
-    frames = [
-        Frame(photo, source, name, None, split, known)
-        for (photo, split, known), source, name in zip(found, sources, names, strict=True)
-    ]
-    return frames, skipped
+            found.append((photo, None, split, KnownPose(lens, opencv_from_opengl(matrix))))
+    return named_frames(layout.root, found), skipped
 
 
 def _lens(angle: float, width: int, height: int) -> Lens:

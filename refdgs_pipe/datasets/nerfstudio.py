@@ -10,10 +10,9 @@ from refdgs_pipe.artifacts.capture import (
     Frame,
     Layout,
     frame_files,
+    named_frames,
     read_frames,
     read_transforms,
-    relative_name,
-    safe_names,
 )
 from refdgs_pipe.artifacts.views import KnownPose, Skipped
 from refdgs_pipe.camera import F64, Lens, opencv_from_opengl
@@ -34,7 +33,7 @@ def read_nerfstudio(layout: Layout) -> tuple[list[Frame], list[Skipped]]:
     shared = read_transforms(path)
     undo = _undo_applied(path, shared)
     tests = {Path(str(name)).name for name in _list(shared.get("test_filenames"))}
-    found: list[tuple[Path, Path | None, KnownPose]] = []
+    found: list[tuple[Path, Path | None, str, KnownPose | None]] = []
     skipped = []
     for record in read_frames(path):
         photo, mask = frame_files(layout.root, record)
@@ -47,14 +46,9 @@ def read_nerfstudio(layout: Layout) -> tuple[list[Frame], list[Skipped]]:
             continue
         lens = _lens(path, {**shared, **record}, header.width, header.height)
         pose = opencv_from_opengl(_rigid(path, undo @ _matrix(path, record)))
-        found.append((photo, mask, KnownPose(lens, pose)))
-    sources = [relative_name(layout.root, photo) for photo, _, _ in found]
-    names = safe_names(sources)
-    frames = [
-        Frame(photo, source, name, mask, "test" if photo.name in tests else "train", known)
-        for (photo, mask, known), source, name in zip(found, sources, names, strict=True)
-    ]
-    return frames, skipped
+        split = "test" if photo.name in tests else "train"
+        found.append((photo, mask, split, KnownPose(lens, pose)))
+    return named_frames(layout.root, found), skipped
 
 
 def _lens(path: Path, record: dict[str, Any], width: int, height: int) -> Lens:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from refdgs_pipe.artifacts.capture import Frame, Layout, relative_name, safe_names
+from refdgs_pipe.artifacts.capture import Frame, Layout, named_frames
 from refdgs_pipe.artifacts.views import KnownPoints, Skipped
 from refdgs_pipe.datasets.blender import read_blender
 from refdgs_pipe.datasets.colmap import read_colmap
@@ -38,7 +38,4 @@ def read_capture(layout: Layout) -> Found:
         return Found(frames, skipped, may_hold_out=all(f.split == "train" for f in frames))
     if layout.kind == "colmap":
         return Found(*read_colmap(layout))
-    sources = [relative_name(layout.root, path) for path in layout.photos]
-    names = safe_names(sources)
-    frames = [Frame(p, s, n) for p, s, n in zip(layout.photos, sources, names, strict=True)]
-    return Found(frames, [])
+    return Found(named_frames(layout.root, [(p, None, "train", None) for p in layout.photos]), [])
