@@ -6,8 +6,11 @@ from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.pipeline.stage import Job, stage
 from refdgs_pipe.training.settings import TrainParams
 
+LEAST_OVERLAP = 0.6  # of masks and field
+LEAST_FILL = 0.02  # of the object ball's disc, where there are no masks
 
-@stage(version=1)
+
+@stage(version=2)
 def train(views: Views, model: SparseModel, params: TrainParams, job: Job) -> SurfelField:
     """Optimise geometry, local reflection and background surfels and the shader."""
     import torch
@@ -17,6 +20,15 @@ def train(views: Views, model: SparseModel, params: TrainParams, job: Job) -> Su
     torch.set_num_threads(job.threads)
     trainer = Trainer(views, model, params, job.scratch)
     field = trainer.run(lambda done, total, note: job.progress("training", done, total, note))
+    shown = trainer.coverage(field)
+    if shown < (LEAST_OVERLAP if trainer.masked else LEAST_FILL):
+        job.warn(
+            f"the field shows only {shown:.0%} of "
+            + ("what the masks cover" if trainer.masked else "the object's surroundings")
+            + ": the object may be lost. Look at `refdgs-pipe render WORKSPACE`, give masks, more "
+            "photos or more train.iterations"
+        )
+    job.measure("object shown", round(100 * shown, 1), "%")
     job.measure("loss", round(trainer.loss, 5))
     job.measure("train PSNR", round(trainer.psnr, 2), "dB")
     job.measure("surfels", len(field.geometry))

@@ -92,15 +92,9 @@ class TrainableField:
         masked: bool,
         rng: np.random.Generator,
     ) -> dict[str, Tensor]:
-        p, cloud = self.params, None
+        p, cloud, opacity = self.params, None, self.params.start_opacity
         if masked and p.start != "ball" and all(photo.mask is not None for photo in photos):
-            masks = [
-                photo.mask.float().div(255).numpy() for photo in photos if photo.mask is not None
-            ]
-            cameras = [photo.camera for photo in photos]
-            cloud = initial.hull_cloud(
-                model.ball, cameras, masks, p.surfels, rng, filled=p.start == "volume"
-            )
+            cloud = _hull_cloud(p, model, photos, rng)
             opacity = HULL_OPACITY if p.start == "hull" else p.start_opacity
         if cloud is None:
             cloud, opacity = initial.ball_cloud(model.ball, p.surfels, rng), BALL_OPACITY
@@ -266,3 +260,20 @@ class TrainableField:
         local = nothing if self.local is None else self.local.freeze()
         background = nothing if self.background is None else self.background.freeze()
         return SurfelField(self.geometry.freeze(), local, background, model, self.near)
+
+
+def _hull_cloud(
+    p: TrainParams, model: SparseModel, photos: list[TrainingPhoto], rng: np.random.Generator
+) -> initial.Cloud | None:
+    """Where surfels start within the photos' masks, or None if those have nothing in common."""
+    cameras = [photo.camera for photo in photos]
+    masks = [photo.mask.float() / 255 for photo in photos if photo.mask is not None]
+    hull = initial.visual_hull(model.ball, cameras, [mask.numpy() for mask in masks])
+    if hull is None:
+        return None
+    if p.start == "hull":
+        return initial.surface_cloud(hull, p.surfels, rng)
+    if p.start == "carved":
+        pictures = [photo.rgb.float() / 255 for photo in photos]
+        hull = initial.carved(hull, cameras, pictures, masks)
+    return initial.volume_cloud(hull, p.surfels, rng)

@@ -1,7 +1,7 @@
-"""Where surfels start: on the visual hull of the masks, at sparse points, or in the ball."""
+"""Where surfels start: in the visual hull of the masks, at sparse points, or in the ball."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -11,10 +11,11 @@ from torch import Tensor
 
 from refdgs_pipe.artifacts.sparse_model import Ball
 from refdgs_pipe.camera import F64, Camera
+from refdgs_pipe.training.carving import boundary, empty_cells
 
 F32 = NDArray[np.float32]
 
-HULL_CELLS = 128  # along the ball's diameter
+HULL_CELLS = 96  # along the ball's diameter
 SKY_SURFELS = 4000
 SKY_DISTANCE = 8.0  # of the farthest camera from the ball, in their distance
 
@@ -29,24 +30,32 @@ class Cloud:
     colors: F64
 
 
-def hull_cloud(
-    ball: Ball,
-    cameras: list[Camera],
-    masks: list[F32],
-    count: int,
-    rng: np.random.Generator,
-    *,
-    filled: bool = False,
-) -> Cloud | None:
-    """Discs on the visual hull, or None if the masks leave nothing.
+@dataclass(frozen=True)
+class Hull:
+    """The visual hull as cells (n, n, n) with centres at ticks (n,) from the ball's centre."""
+
+    cells: NDArray[np.bool_]
+    ticks: F64
+    ball: Ball
+
+    @property
+    def cell(self) -> float:
+        return float(self.ticks[1] - self.ticks[0])
+
+    def axes(self) -> tuple[F64, F64, F64]:
+        """World coordinates of the cells' centres along x, y and z."""
+        x, y, z = (self.ball.center[axis] + self.ticks for axis in range(3))
+        return x, y, z
+
+
+def visual_hull(ball: Ball, cameras: list[Camera], masks: list[F32]) -> Hull | None:
+    """Cells that (nearly) all masks cover, or None if the masks leave nothing.
 
     Args:
         masks: (H, W) in [0, 1] for each camera, at its size.
-        filled: throughout the hull, turned at random, instead of on its surface.
     """
     n = HULL_CELLS
     ticks = ((np.arange(n) + 0.5) / n * 2 - 1) * ball.radius * 1.05
-    cell = float(ticks[1] - ticks[0])
     alive = np.arange(n**3)
     misses = np.zeros(n**3, np.int16)
     allowed = max(1, len(cameras) // 30)
@@ -60,26 +69,31 @@ def hull_cloud(
         alive = alive[misses[alive] <= allowed]
     if len(alive) < 50:
         return None
-    if filled:
-        picked = rng.choice(alive, count, replace=len(alive) < count)
-        index = np.stack([picked // (n * n), picked // n % n, picked % n], -1)
-        points = ball.center + ticks[index] + cell * (rng.random((count, 3)) - 0.5)
-        normals = rng.normal(size=(count, 3))
-        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        return Cloud(points, normals, neighbour_sizes(points), np.full((count, 3), 0.3))
-    grid = np.zeros(n**3, np.float32)
-    grid[alive] = 1
-    return _surface(grid.reshape(n, n, n), ticks, cell, ball, count, rng)
+    cells = np.zeros(n**3, bool)
+    cells[alive] = True
+    return Hull(cells.reshape(n, n, n), ticks, ball)
 
 
-def _surface(
-    grid: F32, ticks: F64, cell: float, ball: Ball, count: int, rng: np.random.Generator
-) -> Cloud:
-    """Random points on the boundary of an occupancy grid, oriented by its smoothed gradient."""
-    padded = np.pad(grid, 1)
-    neighbours = [np.roll(padded, s, a)[1:-1, 1:-1, 1:-1] for a in range(3) for s in (1, -1)]
-    shell = np.argwhere((grid > 0) & (np.minimum.reduce(neighbours) == 0))
-    smooth = grid
+def carved(hull: Hull, cameras: list[Camera], pictures: list[Tensor], masks: list[Tensor]) -> Hull:
+    """The hull without the hollows that the photos (3, H, W) show; see `empty_cells`."""
+    left = hull.cells & ~empty_cells(hull.cells, hull.axes(), cameras, pictures, masks)
+    return replace(hull, cells=left) if left.sum() >= 50 else hull
+
+
+def volume_cloud(hull: Hull, count: int, rng: np.random.Generator) -> Cloud:
+    """Discs throughout the hull, turned at random."""
+    found = np.argwhere(hull.cells)
+    picked = found[rng.choice(len(found), count, replace=len(found) < count)]
+    points = hull.ball.center + hull.ticks[picked] + hull.cell * (rng.random((count, 3)) - 0.5)
+    normals = rng.normal(size=(count, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return Cloud(points, normals, neighbour_sizes(points), np.full((count, 3), 0.3))
+
+
+def surface_cloud(hull: Hull, count: int, rng: np.random.Generator) -> Cloud:
+    """Discs on the hull's boundary, oriented by its smoothed gradient."""
+    shell = np.argwhere(boundary(hull.cells))
+    smooth = hull.cells.astype(np.float32)
     for axis in range(3):
         smooth = _blurred(smooth, axis)
     gradient = np.stack([np.gradient(smooth, axis=axis) for axis in range(3)], -1)
@@ -87,8 +101,8 @@ def _surface(
     normals = -gradient[tuple(picked.T)].astype(np.float64)
     normals += 1e-6 * rng.normal(size=normals.shape)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    points = ball.center + ticks[picked] + cell * (rng.random(picked.shape) - 0.5)
-    area = len(shell) * cell**2 * 1.2
+    points = hull.ball.center + hull.ticks[picked] + hull.cell * (rng.random(picked.shape) - 0.5)
+    area = len(shell) * hull.cell**2 * 1.2
     sizes = np.full(count, math.sqrt(area / count) * 0.6)
     return Cloud(points, normals, sizes, np.full((count, 3), 0.3))
 

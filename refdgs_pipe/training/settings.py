@@ -62,7 +62,7 @@ class TrainParams(Params):
         60_000, ge=100, le=5_000_000, description="surfels outside the object ball at most"
     )
     start_opacity: float = Field(
-        0.03, gt=0, lt=1, description="of surfels that start throughout the visual hull"
+        0.03, gt=0, lt=1, description="of surfels that start within the visual hull"
     )
     densify_from: float = Field(0.05, ge=0, le=1, description="fraction of the run")
     densify_until: float = Field(0.6, ge=0, le=1, description="fraction of the run")
@@ -109,8 +109,8 @@ class TrainParams(Params):
         le=10,
         description="weight of normal smoothness away from diffuse and depth edges",
     )
-    start: Literal["hull", "volume", "ball"] = Field(
-        "volume",
+    start: Literal["hull", "volume", "carved", "ball"] = Field(
+        "carved",
         description="where surfels start when there are masks: on their visual hull, throughout "
-        "it, or throughout the object ball",
+        "it, throughout it without the hollows that photos agree on, or throughout the object ball",
     )

@@ -21,12 +21,14 @@ from refdgs_pipe.training import losses
 from refdgs_pipe.training.checkpoint import read_checkpoint, write_checkpoint
 from refdgs_pipe.training.field import TrainableField
 from refdgs_pipe.training.photos import TrainingPhoto, composited, load_training_photos, shrunk
+from refdgs_pipe.training.scoring import coverage
 from refdgs_pipe.training.settings import TrainParams
 from refdgs_pipe.training.shading import Picture, draw
 
 Progress = Callable[[int, int, str], None]
 CHECKPOINT_SECONDS = 30.0
 REPORT_STEPS = 10
+COVERAGE_VIEWS = 6
 NEAR = 0.02  # of the distance of the nearest camera to the ball's centre
 
 
@@ -76,6 +78,17 @@ class Trainer:
             self.save()
             raise
         return self.field.freeze()
+
+    def coverage(self, field: SurfelField) -> float:
+        """How much of the object the field shows, over a few training photos; see `coverage`."""
+        photos = self.full[:: max(1, len(self.full) // COVERAGE_VIEWS)]
+        masks = [
+            np.asarray(photo.mask.numpy() / 255, np.float32)
+            for photo in photos
+            if photo.mask is not None
+        ]
+        known = masks if self.masked and len(masks) == len(photos) else None
+        return coverage(field, [photo.camera for photo in photos], known, self.model.ball)
 
     def step(self) -> None:
         """One photo, one gradient, one update."""

@@ -1,6 +1,7 @@
 """Training: it learns, it resumes, its parts keep their laws."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from PIL import Image
 from scenes import glossy_pair, orbit
 
 from refdgs_pipe.artifacts.sparse_model import Ball, SparseModel
-from refdgs_pipe.artifacts.surfel_field import SurfelField
+from refdgs_pipe.artifacts.surfel_field import SurfelField, SurfelSet
 from refdgs_pipe.artifacts.views import Exif, KnownPose, View, Views
 from refdgs_pipe.camera import Camera, Lens
 from refdgs_pipe.errors import Cancelled, CorruptError, TrainingError
@@ -78,6 +79,19 @@ def model_of(cameras: list[Camera], points: np.ndarray) -> SparseModel:
     )
 
 
+def thinned(field: SurfelField, every: int) -> SurfelField:
+    """The field with one geometry surfel in `every` left."""
+    part = field.geometry
+    kept = SurfelSet(
+        part.means[::every],
+        part.quats[::every],
+        part.scales[::every],
+        part.opacities[::every],
+        {name: value[::every] for name, value in part.values.items()},
+    )
+    return replace(field, geometry=kept)
+
+
 def quiet(done: int, total: int, note: str) -> None:
     """A run that nobody watches."""
 
@@ -104,6 +118,9 @@ def test_training_improves_the_picture_and_the_normals(tmp_path: Path) -> None:
     (before, bent), (after, straight) = figures
     assert after > before + 4
     assert straight < bent
+    trainer = Trainer(views, model, params, tmp_path)
+    assert trainer.coverage(field) > 0.6
+    assert trainer.coverage(thinned(field, 200)) < 0.2  # an object that got lost is seen as lost
 
 
 @pytest.mark.parametrize(
@@ -256,12 +273,12 @@ def test_the_hull_of_a_ball_seen_from_all_sides_is_the_ball() -> None:
         rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
         miss = np.linalg.norm(np.cross(rays, -camera.center), axis=-1)
         masks.append((miss < 1).astype(np.float32))
-    cloud = initial.hull_cloud(ball, cameras, masks, 2000, np.random.default_rng(0))
-    assert cloud is not None
+    hull = initial.visual_hull(ball, cameras, masks)
+    assert hull is not None
+    cloud = initial.surface_cloud(hull, 2000, np.random.default_rng(0))
     radii = np.linalg.norm(cloud.points, axis=1)
     assert np.quantile(np.abs(radii - 1), 0.9) < 0.06
     outward = (cloud.normals * cloud.points).sum(1) / radii
     assert np.median(outward) > 0.95
-    inside = initial.hull_cloud(ball, cameras, masks, 2000, np.random.default_rng(0), filled=True)
-    assert inside is not None
+    inside = initial.volume_cloud(hull, 2000, np.random.default_rng(0))
     assert np.median(np.linalg.norm(inside.points, axis=1)) < 0.85
