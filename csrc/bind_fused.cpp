@@ -1,10 +1,12 @@
 // The fused per-pixel operations of _refdgs_native; addresses as in bind.cpp.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/pair.h>
+#include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
 #include "ops/image_loss.h"
 #include "ops/mlp.h"
+#include "ops/shade.h"
 #include "ops/sph_mip.h"
 
 namespace nb = nanobind;
@@ -103,6 +105,77 @@ template <class S> void bind_mlp(nb::module_& m, const char* name, const char* b
   });
 }
 
+// numbers: fx, fy, cx, cy and the rows of the rotation from the camera to the world.
+template <class S> View<S> view_of(const std::vector<int64_t>& size, const std::vector<double>& numbers) {
+  View<S> view{int(size[1]), int(size[0]), S(numbers[0]), S(numbers[1]), S(numbers[2]), S(numbers[3]), {}};
+  for (int i = 0; i < 9; ++i) view.world_from_cam.m[i] = S(numbers[size_t(4 + i)]);
+  return view;
+}
+
+using Images = const std::vector<std::pair<Address, std::vector<int64_t>>>&;
+template <class S> Image<S> image(const std::pair<Address, std::vector<int64_t>>& of) {
+  return image<S>(of.first, of.second);
+}
+
+// images: features, alpha, normal, near (address 0: none).
+template <class S>
+Covered<S> covered(const std::vector<int64_t>& size, const std::vector<double>& numbers, int64_t count, Address pixels,
+                   Images images) {
+  return {view_of<S>(size, numbers), count, at<const int64_t>(pixels), image<S>(images[0]), image<S>(images[1]),
+          image<S>(images[2]), image<S>(images[3])};
+}
+
+// images: object alpha, alpha, behind (address 0: none).
+template <class S>
+Composite<S> composite_of(const std::vector<int64_t>& size, int64_t count, Address pixels, Address diffuse,
+                          int64_t diffuse_row, Address radiance, Images images, const std::vector<double>& backdrop) {
+  return {int(size[1]), int(size[0]), count, at<const int64_t>(pixels), at<const S>(diffuse), diffuse_row,
+          at<const S>(radiance), image<S>(images[0]), image<S>(images[1]), image<S>(images[2]),
+          {S(backdrop[0]), S(backdrop[1]), S(backdrop[2])}};
+}
+
+template <class S> void bind_shade(nb::module_& m, const std::string& type) {
+  using Addresses = const std::vector<Address>&;
+  using Size = const std::vector<int64_t>&;
+  using Numbers = const std::vector<double>&;
+  m.def(("shading_inputs_" + type).c_str(), [](Size size, Numbers numbers, int64_t count, Address pixels,
+                                               Images images, int threads, Addresses out) {
+    nb::gil_scoped_release release;
+    shading_inputs(covered<S>(size, numbers, count, pixels, images), threads,
+                   Inputs<S>{at<S>(out[0]), at<S>(out[1]), at<S>(out[2]), at<S>(out[3])});
+  });
+  m.def(("shading_inputs_bwd_" + type).c_str(), [](Size size, Numbers numbers, int64_t count, Address pixels,
+                                                   Images images, int threads, Addresses v, Addresses grads) {
+    nb::gil_scoped_release release;
+    shading_inputs_bwd(covered<S>(size, numbers, count, pixels, images),
+                       Inputs<const S>{at<S>(v[0]), at<S>(v[1]), at<S>(v[2]), at<S>(v[3])}, threads,
+                       MapGrads<S>{at<S>(grads[0]), at<S>(grads[1]), at<S>(grads[2]), at<S>(grads[3])});
+  });
+  m.def(("composite_" + type).c_str(), [](Size size, int64_t count, Address pixels, Address diffuse,
+                                          int64_t diffuse_row, Address radiance, Images images, Numbers backdrop,
+                                          int threads, Address out) {
+    nb::gil_scoped_release release;
+    composite(composite_of<S>(size, count, pixels, diffuse, diffuse_row, radiance, images, backdrop), threads,
+              at<S>(out));
+  });
+  m.def(("composite_bwd_" + type).c_str(), [](Size size, int64_t count, Address pixels, Address diffuse,
+                                              int64_t diffuse_row, Address radiance, Images images, Numbers backdrop,
+                                              int threads, Images v_image, Addresses grads) {
+    nb::gil_scoped_release release;
+    composite_bwd(composite_of<S>(size, count, pixels, diffuse, diffuse_row, radiance, images, backdrop),
+                  image<S>(v_image[0]), threads, at<S>(grads[0]), at<S>(grads[1]), at<S>(grads[2]));
+  });
+  // images: normal, depth, alpha; grads: of these three and working memory, or all 0.
+  m.def(("normal_agreement_" + type).c_str(), [](Size size, Numbers numbers, Images images, double scale, int threads,
+                                                 Addresses grads) {
+    nb::gil_scoped_release release;
+    return normal_agreement(Agreement<S>{view_of<S>(size, numbers), image<S>(images[0]), image<S>(images[1]),
+                                         image<S>(images[2]), S(scale), at<S>(grads[0]), at<S>(grads[1]),
+                                         at<S>(grads[2]), at<S>(grads[3])},
+                            threads);
+  });
+}
+
 }  // namespace
 
 void bind_fused(nb::module_& m) {
@@ -110,6 +183,8 @@ void bind_fused(nb::module_& m) {
   bind_image_loss<double>(m, "image_loss_double");
   bind_mlp<float>(m, "mlp_float", "mlp_bwd_float");
   bind_mlp<double>(m, "mlp_double", "mlp_bwd_double");
+  bind_shade<float>(m, "float");
+  bind_shade<double>(m, "double");
   bind_sph_mip<float>(m, "sph_mip_float", "sph_mip_bwd_float");
   bind_sph_mip<double>(m, "sph_mip_double", "sph_mip_bwd_double");
 }

@@ -18,6 +18,10 @@ template <class S> REFDGS_HD Vec3<S> operator-(Vec3<S> a, Vec3<S> b) { return {a
 template <class S> REFDGS_HD Vec3<S> operator*(S s, Vec3<S> a) { return {s * a.x, s * a.y, s * a.z}; }
 template <class S> REFDGS_HD S dot(Vec3<S> a, Vec3<S> b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
 
+template <class S> REFDGS_HD Vec3<S> cross(Vec3<S> a, Vec3<S> b) {
+  return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
+}
+
 // Row-major 3x3.
 template <class S> struct Mat3 {
   S m[9];

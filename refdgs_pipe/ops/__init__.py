@@ -3,6 +3,7 @@
 from refdgs_pipe.ops.image_loss import image_loss, ssim, ssim_map
 from refdgs_pipe.ops.mlp import mlp
 from refdgs_pipe.ops.rasterize import Maps, Pinhole, ScreenStatistics, Surfels, rasterize
+from refdgs_pipe.ops.shade import clip, composite, normal_agreement, shading_inputs
 from refdgs_pipe.ops.sph_mip import mip_levels, sph_mip
 
 __all__ = [
@@ -10,10 +11,14 @@ __all__ = [
     "Pinhole",
     "ScreenStatistics",
     "Surfels",
+    "clip",
+    "composite",
     "image_loss",
     "mip_levels",
     "mlp",
+    "normal_agreement",
     "rasterize",
+    "shading_inputs",
     "sph_mip",
     "ssim",
     "ssim_map",

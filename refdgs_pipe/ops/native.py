@@ -31,9 +31,9 @@ def draw(
     threads: int,
 ) -> Maps:
     """Rasterise on the CPU; inputs are checked by `rasterize`."""
-    n, channels = features.shape
+    n = len(features)
     statistics = ScreenStatistics(features.new_zeros(n), features.new_zeros(n, 2))
-    planes: Tensor = _Rasterize.apply(  # type: ignore[no-untyped-call]
+    blended, alpha, normal, depth, median, distortion = _Rasterize.apply(  # type: ignore[no-untyped-call]
         surfels.means,
         surfels.quats,
         surfels.scales,
@@ -46,15 +46,13 @@ def draw(
         threads,
         statistics,
     )
-    padded, _ = planes_of(channels, extra, normals)
-    images = planes.permute(1, 2, 0)
     return Maps(
-        features=images[..., :channels],
-        alpha=planes[padded],
-        normal=images[..., channels : channels + 3] if normals else None,
-        depth=planes[padded + 1] if extra != "none" else None,
-        median_depth=planes[padded + 2] if extra != "none" else None,
-        distortion=planes[padded + 3] if extra == "distortion" else None,
+        features=blended,
+        alpha=alpha,
+        normal=normal if normals else None,
+        depth=depth if extra != "none" else None,
+        median_depth=median if extra != "none" else None,
+        distortion=distortion if extra == "distortion" else None,
         statistics=statistics,
     )
 
@@ -73,12 +71,12 @@ class _Frame:
 
 class _Rasterize(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, *args: Any) -> Tensor:
+    def forward(ctx: Any, *args: Any) -> tuple[Tensor, ...]:
         *tensors, camera, extra, normals, threads, statistics = args
         inputs = [t.detach().contiguous() for t in tensors[:5]]
         n, channels = inputs[4].shape
         dtype = inputs[0].dtype
-        _, count = planes_of(channels, extra, normals)
+        padded, count = planes_of(channels, extra, normals)
         planes = torch.empty(count, camera.height, camera.width, dtype=dtype)
         numbers = [*tensors[5][:3].detach().double().flatten().tolist()]
         numbers += [camera.fx, camera.fy, camera.cx, camera.cy, camera.near]
@@ -97,15 +95,25 @@ class _Rasterize(torch.autograd.Function):
             statistics.radii.data_ptr(),
         )
         ctx.save_for_backward(planes, *inputs)
+        ctx.set_materialize_grads(False)
         ctx.pose, ctx.statistics = tensors[5], statistics
-        return planes
+        none = planes[:0]
+        parts = [planes[:channels], planes[padded], planes[channels : channels + 3 * normals]]
+        parts += [planes[padded + i] if padded + i < count else none for i in (1, 2, 3)]
+        ctx.places = [p.storage_offset() // planes[0].numel() for p in parts]
+        return tuple(p.permute(1, 2, 0) if p.ndim == 3 else p for p in parts)
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
         planes, *inputs = ctx.saved_tensors
         out = [torch.empty_like(t) for t in inputs]
         v_pose = torch.zeros(3, 4, dtype=planes.dtype)
-        v_planes = grads[0].contiguous()
+        v_planes = torch.zeros_like(planes)
+        for place, grad in zip(ctx.places, grads, strict=True):
+            if grad is not None and grad.ndim == 3:
+                v_planes[place : place + grad.shape[2]].copy_(grad.permute(2, 0, 1))
+            elif grad is not None:
+                v_planes[place].copy_(grad)
         ctx.frame.raster.backward(
             [t.data_ptr() for t in inputs],
             *inputs[4].shape,

@@ -166,7 +166,7 @@ class TrainableField:
 
     def observe(self, picture: Picture, width: int) -> None:
         """Collect densification statistics after the backward pass, per half image width."""
-        statistics, n = picture.geometry_statistics, len(self.geometry)
+        statistics, n = picture.maps.statistics, len(self.geometry)
         pull = statistics.gradients[:, 0] * (width / 2)
         self.geometry.observe(pull[:n], statistics.radii[:n])
         if self.background is not None:

@@ -2,12 +2,11 @@
 
 import math
 from itertools import pairwise
-from typing import Any
 
 import torch
 from torch import Tensor, nn
 
-from refdgs_pipe.ops import mlp, sph_mip
+from refdgs_pipe.ops import clip, mlp, sph_mip
 
 RADIANCE_EXPONENT = 5.0  # specular radiance is at most e^5
 
@@ -28,30 +27,6 @@ class Shader(nn.Module):
         nn.init.constant_(layers[-1].bias, math.log(0.25))
         self.weights = nn.ParameterList(layer.weight for layer in layers)
         self.biases = nn.ParameterList(layer.bias for layer in layers)
-
-
-class _ClipThatPullsDown(torch.autograd.Function):
-    """min(x, limit); above the limit a gradient passes only if it lowers x.
-
-    So a highlight that is too bright for its photo comes back, and one that the photo clips is not
-    pushed up without end.
-    """
-
-    @staticmethod
-    def forward(ctx: Any, x: Tensor, limit: float) -> Tensor:
-        ctx.save_for_backward(x > limit)
-        return x.clamp(max=limit)
-
-    @staticmethod
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None]:
-        (over,) = ctx.saved_tensors
-        return torch.where(over & (grads[0] < 0), 0.0, grads[0]), None
-
-
-def clip(x: Tensor, limit: float) -> Tensor:
-    """min(x, limit) whose gradient above the limit only pulls down."""
-    out: Tensor = _ClipThatPullsDown.apply(x, limit)  # type: ignore[no-untyped-call]
-    return out
 
 
 def specular(

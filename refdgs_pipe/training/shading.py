@@ -5,9 +5,17 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from refdgs_pipe.ops import Maps, Pinhole, ScreenStatistics, Surfels, rasterize
+from refdgs_pipe.ops import (
+    Maps,
+    Pinhole,
+    ScreenStatistics,
+    Surfels,
+    composite,
+    rasterize,
+    shading_inputs,
+)
 from refdgs_pipe.ops.rasterize import Extra
-from refdgs_pipe.training.reflection import Shader, clip, specular
+from refdgs_pipe.training.reflection import Shader, specular
 
 SHADED_ALPHA = 0.05  # thinner pixels show no object
 _SH1 = 0.4886025119029199
@@ -37,32 +45,55 @@ class Scene:
 
 @dataclass(frozen=True)
 class Picture:
-    """One view, (H, W[, C]); linear quantities are not premultiplied and 0 where nothing is.
+    """One view. What is made of `maps` and of covered pixels costs only when it is asked for.
 
     Args:
-        image: sRGB, composited over the given colour.
-        alpha: of the object and, with a background set, everything in front of infinity.
-        object_alpha: of the object alone.
-        normal: unit, world; depth: camera z.
+        image: (H, W, 3) sRGB, composited over the given colour.
+        maps: of geometry and, with a background set, of everything in front of infinity.
+        object_alpha: (H, W) of the object alone.
+        pixels: (P,) that were shaded; carried (P, 4) and radiance (P, 3) there, linear.
+        local_statistics: of the local reflection surfels, if there were any.
     """
 
     image: Tensor
-    alpha: Tensor
+    maps: Maps
     object_alpha: Tensor
-    normal: Tensor
-    depth: Tensor
-    diffuse: Tensor
-    roughness: Tensor
-    specular: Tensor
-    distortion: Tensor | None
-    geometry_statistics: ScreenStatistics
+    pixels: Tensor
+    carried: Tensor
+    radiance: Tensor
     local_statistics: ScreenStatistics | None
 
+    @property
+    def normal(self) -> Tensor:
+        """(H, W, 3) unit, world; 0 where nothing is."""
+        assert self.maps.normal is not None
+        return torch.nn.functional.normalize(self.maps.normal, dim=-1, eps=1e-8)
 
-def srgb_of(linear: Tensor) -> Tensor:
-    """The sRGB curve, clipped to [0, 1]."""
-    x = clip(linear, 1.0).clamp(min=1e-6)
-    return torch.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
+    @property
+    def depth(self) -> Tensor:
+        """(H, W) camera z."""
+        assert self.maps.depth is not None
+        return self.maps.depth / self.maps.alpha.clamp(min=1e-6)
+
+    @property
+    def diffuse(self) -> Tensor:
+        """(H, W, 3) linear, not premultiplied, 0 where nothing was shaded."""
+        return self._spread(self.carried[:, :3])
+
+    @property
+    def roughness(self) -> Tensor:
+        """(H, W), not premultiplied."""
+        return self._spread(self.carried[:, 3:])[..., 0]
+
+    @property
+    def specular(self) -> Tensor:
+        """(H, W, 3) linear radiance, not premultiplied."""
+        return self._spread(self.radiance)
+
+    def _spread(self, values: Tensor) -> Tensor:
+        height, width = self.object_alpha.shape
+        flat = values.new_zeros(height * width, values.shape[1])
+        return flat.index_copy(0, self.pixels, values).reshape(height, width, -1)
 
 
 def sh_color(sh: Tensor, directions: Tensor) -> Tensor:
@@ -76,22 +107,6 @@ def sh_color(sh: Tensor, directions: Tensor) -> Tensor:
     basis = torch.stack([-_SH1 * y, _SH1 * z, -_SH1 * x], -1)
     color: Tensor = 0.28209479177387814 * c[:, 0] + (basis[..., None] * c[:, 1:]).sum(1) + 0.5
     return color.clamp(min=0)
-
-
-def normalized(vectors: Tensor) -> Tensor:
-    """Unit vectors along the last axis; zero stays zero."""
-    x, y, z = vectors.unbind(-1)
-    return vectors * torch.rsqrt(x * x + y * y + z * z + 1e-16)[..., None]
-
-
-def pixel_rays(camera: Pinhole) -> Tensor:
-    """(H, W, 3) unit camera-space rays through the pixel centres."""
-    x = (torch.arange(camera.width) + 0.5 - camera.cx) / camera.fx
-    y = (torch.arange(camera.height) + 0.5 - camera.cy) / camera.fy
-    gx, gy = torch.meshgrid(x, y, indexing="xy")
-    rays = torch.stack([gx, gy, torch.ones_like(gx)], -1)
-    unit: Tensor = rays / rays.norm(dim=-1, keepdim=True)
-    return unit
 
 
 def _concatenated(scene: Scene) -> tuple[Surfels, Tensor]:
@@ -136,77 +151,26 @@ def draw(
         backdrop: (3,) sRGB colour behind everything.
         turntable: the light is fixed to the camera, not to the world.
     """
-    surfels, carried = _concatenated(scene)
-    maps = rasterize(surfels, carried, camera, extra=extra, normals=True)
+    surfels, values = _concatenated(scene)
+    maps = rasterize(surfels, values, camera, extra=extra, normals=True)
     near, local_statistics = _near_features(scene, camera, maps)
-    inside_at = 8 if scene.shared_features is not None else 4
-    has_background = scene.background is not None
-    object_alpha = maps.features[..., inside_at] if has_background else maps.alpha
-    assert maps.normal is not None and maps.depth is not None
-    shaded = _shade(scene, camera, maps, near, object_alpha, turntable)
-    image = object_alpha[..., None] * shaded.color + (1 - maps.alpha)[..., None] * backdrop
-    if has_background:
-        image = image + maps.features[..., inside_at + 1 : inside_at + 4]
-    return Picture(
-        image=image,
-        alpha=maps.alpha,
-        object_alpha=object_alpha,
-        normal=normalized(maps.normal),
-        depth=maps.depth / maps.alpha.clamp(min=1e-6),
-        diffuse=shaded.diffuse,
-        roughness=shaded.roughness[..., 0],
-        specular=shaded.specular,
-        distortion=maps.distortion,
-        geometry_statistics=maps.statistics,
-        local_statistics=local_statistics,
+    object_alpha, behind = maps.alpha, None
+    if scene.background is not None:
+        inside_at = values.shape[1] - 4
+        object_alpha, behind = maps.features[..., inside_at], maps.features[..., inside_at + 1 :]
+    assert maps.normal is not None
+    pixels = torch.nonzero(object_alpha.detach().reshape(-1) > SHADED_ALPHA).flatten()
+    carried, reflected, cosine, near = shading_inputs(
+        maps.features, object_alpha, maps.normal, near, pixels, camera
     )
-
-
-@dataclass(frozen=True)
-class _Shaded:
-    """(H, W, C) of the covered pixels, 0 elsewhere; color is sRGB, the rest linear."""
-
-    color: Tensor
-    diffuse: Tensor
-    roughness: Tensor
-    specular: Tensor
-
-
-def _shade(
-    scene: Scene,
-    camera: Pinhole,
-    maps: Maps,
-    near: Tensor | None,
-    alpha: Tensor,
-    turntable: bool,
-) -> _Shaded:
-    """Shade covered pixels, from alpha-normalised maps; near features stay premultiplied."""
-    height, width = alpha.shape
-    covered = torch.nonzero(alpha.detach().reshape(-1) > SHADED_ALPHA).flatten()
-
-    def at(image: Tensor) -> Tensor:
-        return image.reshape(height * width, -1).index_select(0, covered)
-
-    def spread(values: Tensor) -> Tensor:
-        flat = values.new_zeros(height * width, values.shape[1]).index_copy(0, covered, values)
-        return flat.reshape(height, width, -1)
-
-    carried = at(maps.features[..., :4]) / at(alpha)
-    diffuse, roughness = carried[:, :3], carried[:, 3]
-    radiance = torch.zeros_like(diffuse)
-    if scene.shader is not None:
-        assert maps.normal is not None
-        normal = normalized(at(maps.normal))
-        rays = at(pixel_rays(camera)) @ camera.cam_from_world[:3, :3]
-        towards = -(normal * rays).sum(-1, keepdim=True)
-        reflected = normalized(rays + 2 * towards * normal)
-        if turntable:
-            reflected = reflected @ camera.cam_from_world[:3, :3].T
-        cosine = towards[:, 0].clamp(0, 1)
-        near_pixels = None if near is None else at(near)
-        radiance = specular(scene.shader, reflected, roughness, cosine, near_pixels)
-    color = srgb_of(diffuse + radiance)
-    return _Shaded(*(spread(v) for v in (color, diffuse, roughness[:, None], radiance)))
+    if turntable:
+        reflected = reflected @ camera.cam_from_world[:3, :3].T
+    if scene.shader is None:
+        radiance = torch.zeros(len(pixels), 3)
+    else:
+        radiance = specular(scene.shader, reflected, carried[:, 3], cosine, near)
+    image = composite(carried[:, :3], radiance, pixels, object_alpha, maps.alpha, backdrop, behind)
+    return Picture(image, maps, object_alpha, pixels, carried, radiance, local_statistics)
 
 
 def _near_features(

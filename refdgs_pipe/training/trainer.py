@@ -14,7 +14,7 @@ from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.surfel_field import SurfelField
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.errors import Cancelled, TrainingError
-from refdgs_pipe.ops import image_loss
+from refdgs_pipe.ops import image_loss, normal_agreement
 from refdgs_pipe.ops.native import keep_freed_memory
 from refdgs_pipe.ops.rasterize import Extra
 from refdgs_pipe.training import losses
@@ -101,9 +101,10 @@ class Trainer:
         picture = draw(
             self.field.scene(photo.pinhole, fraction), photo.pinhole, backdrop, extra=extra
         )
-        loss = self._loss(picture, photo, backdrop)
+        target = composited(photo, backdrop)
+        loss = self._loss(picture, photo, target)
         loss.backward()  # type: ignore[no-untyped-call]
-        self._note(loss, picture, photo, backdrop)
+        self._note(loss, picture.image, target)
         self.field.observe(picture, photo.pinhole.width)
         self.field.step()
         self.iteration += 1
@@ -118,28 +119,25 @@ class Trainer:
         pick = int(torch.randint(len(self.full), (1,), generator=self.rng))
         return self.scales[scale][pick]
 
-    def _loss(self, picture: Picture, photo: TrainingPhoto, backdrop: Tensor) -> Tensor:
-        p = self.params
-        target = composited(photo, backdrop)
+    def _loss(self, picture: Picture, photo: TrainingPhoto, target: Tensor) -> Tensor:
+        p, maps = self.params, picture.maps
         valid = None if photo.valid is None else photo.valid.float()
         loss = image_loss(picture.image, target, weight=valid, ssim_share=p.ssim_share)
         if photo.mask is not None and p.mask_weight > 0:
-            loss = loss + p.mask_weight * losses.mask_entropy(
-                picture.alpha, photo.mask.float() / 255
-            )
-        if p.normal_weight > 0:
-            loss = loss + p.normal_weight * losses.normal_consistency(
-                picture.normal, picture.depth, picture.alpha, photo.pinhole
+            loss = loss + p.mask_weight * losses.mask_entropy(maps.alpha, photo.mask.float() / 255)
+        if p.normal_weight > 0 and maps.normal is not None and maps.depth is not None:
+            loss = loss + p.normal_weight * normal_agreement(
+                maps.normal, maps.depth, maps.alpha, photo.pinhole
             )
         if p.smooth_weight > 0:
             loss = loss + p.smooth_weight * losses.normal_smoothness(
-                picture.normal, picture.diffuse, picture.depth, picture.alpha
+                picture.normal, picture.diffuse, picture.depth, maps.alpha
             )
-        if picture.distortion is not None:
-            loss = loss + p.distortion_weight * picture.distortion.mean()
+        if maps.distortion is not None:
+            loss = loss + p.distortion_weight * maps.distortion.mean()
         return loss
 
-    def _note(self, loss: Tensor, picture: Picture, photo: TrainingPhoto, backdrop: Tensor) -> None:
+    def _note(self, loss: Tensor, image: Tensor, target: Tensor) -> None:
         """Running figures; a loss that is not finite ends the run at the last good checkpoint."""
         value = float(loss.detach())
         if not math.isfinite(value):
@@ -148,7 +146,7 @@ class Trainer:
                 "good checkpoint is kept; lower train.rate_means or change train.seed and run again"
             )
         with torch.no_grad():
-            error = (picture.image - composited(photo, backdrop)).square().mean()
+            error = (image - target).square().mean()
         psnr = -10 * math.log10(max(float(error), 1e-10))
         keep = 0.98 if math.isfinite(self.loss) else 0.0
         self.loss = value if not keep else keep * self.loss + (1 - keep) * value

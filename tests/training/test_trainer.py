@@ -16,13 +16,12 @@ from refdgs_pipe.artifacts.views import Exif, KnownPose, View, Views
 from refdgs_pipe.camera import Camera, Lens
 from refdgs_pipe.errors import Cancelled, CorruptError, TrainingError
 from refdgs_pipe.metrics import normal_error_deg, psnr
-from refdgs_pipe.ops import Pinhole
-from refdgs_pipe.training import initial, losses
+from refdgs_pipe.ops import Pinhole, clip
+from refdgs_pipe.ops.reference_shade import depth_normals, srgb_of
+from refdgs_pipe.training import initial
 from refdgs_pipe.training.checkpoint import NAME, read_checkpoint, write_checkpoint
-from refdgs_pipe.training.reflection import clip
 from refdgs_pipe.training.render import render_image, render_surface_map
 from refdgs_pipe.training.settings import TrainParams
-from refdgs_pipe.training.shading import srgb_of
 from refdgs_pipe.training.surfels import DensityRules, TrainableSet, densify
 from refdgs_pipe.training.trainer import Trainer
 
@@ -253,7 +252,7 @@ def test_depth_normals_of_a_tilted_plane_are_its_normal() -> None:
     x = ((torch.arange(32) + 0.5 - 16) / 50)[None, :].expand(24, 32)
     y = ((torch.arange(24) + 0.5 - 12) / 50)[:, None].expand(24, 32)
     depth = (n[2] * 4) / (n[0] * x + n[1] * y + n[2])
-    found = losses.depth_normals(depth, view)[1:-1, 1:-1]
+    found = depth_normals(depth, view)[1:-1, 1:-1]
     assert float((found * n).sum(-1).min()) > 1 - 1e-5
 
 

@@ -1,0 +1,87 @@
+"""Deferred shading in plain torch: the definition that the compiled one is proved against."""
+
+import torch
+from torch import Tensor
+
+from refdgs_pipe.ops.rasterize import Pinhole
+from refdgs_pipe.ops.shade import clip
+
+
+def normalized(vectors: Tensor, epsilon: float = 1e-16) -> Tensor:
+    """Unit vectors along the last axis; zero stays zero."""
+    x, y, z = vectors.unbind(-1)
+    return vectors * torch.rsqrt(x * x + y * y + z * z + epsilon)[..., None]
+
+
+def pixel_rays(camera: Pinhole, dtype: torch.dtype = torch.float32) -> Tensor:
+    """(H, W, 3) camera-space rays through the pixel centres, with z = 1."""
+    x = (torch.arange(camera.width, dtype=dtype) + 0.5 - camera.cx) / camera.fx
+    y = (torch.arange(camera.height, dtype=dtype) + 0.5 - camera.cy) / camera.fy
+    gx, gy = torch.meshgrid(x, y, indexing="xy")
+    return torch.stack([gx, gy, torch.ones_like(gx)], -1)
+
+
+def shading_inputs(
+    features: Tensor,
+    alpha: Tensor,
+    normal: Tensor,
+    near: Tensor | None,
+    pixels: Tensor,
+    camera: Pinhole,
+) -> tuple[Tensor, Tensor, Tensor, Tensor | None]:
+    """Same meaning as `ops.shading_inputs`."""
+
+    def at(image: Tensor) -> Tensor:
+        return image.reshape(camera.height * camera.width, -1).index_select(0, pixels)
+
+    carried = at(features)[:, :4] / at(alpha)
+    n = normalized(at(normal))
+    pose = camera.cam_from_world[:3, :3].to(n.dtype)
+    rays = pixel_rays(camera, n.dtype)
+    rays = at(rays / rays.norm(dim=-1, keepdim=True)) @ pose
+    towards = -(n * rays).sum(-1, keepdim=True)
+    reflected = normalized(rays + 2 * towards * n)
+    return carried, reflected, towards[:, 0].clamp(0, 1), None if near is None else at(near)
+
+
+def srgb_of(linear: Tensor) -> Tensor:
+    """The sRGB curve, clipped to [0, 1]; `clip` above."""
+    x = clip(linear, 1.0).clamp(min=1e-6)
+    return torch.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
+
+
+def composite(
+    diffuse: Tensor,
+    radiance: Tensor,
+    pixels: Tensor,
+    object_alpha: Tensor,
+    alpha: Tensor,
+    backdrop: Tensor,
+    behind: Tensor | None,
+) -> Tensor:
+    """Same meaning as `ops.composite`."""
+    height, width = alpha.shape
+    flat = diffuse.new_zeros(height * width, 3)
+    color = flat.index_copy(0, pixels, srgb_of(diffuse + radiance)).reshape(height, width, 3)
+    image = object_alpha[..., None] * color + (1 - alpha)[..., None] * backdrop
+    return image if behind is None else image + behind
+
+
+def depth_normals(depth: Tensor, camera: Pinhole) -> Tensor:
+    """(H, W, 3) world normals of a depth map by central differences, facing the camera.
+
+    The border pixel is zero. Source: 2D Gaussian Splatting, section 5.
+    """
+    points = pixel_rays(camera, depth.dtype) * depth[..., None]
+    right = points[1:-1, 2:] - points[1:-1, :-2]
+    down = points[2:, 1:-1] - points[:-2, 1:-1]
+    normal = normalized(torch.linalg.cross(down, right), 1e-24)
+    world = normal @ camera.cam_from_world[:3, :3].to(depth.dtype)
+    return torch.nn.functional.pad(world, (0, 0, 1, 1, 1, 1))
+
+
+def normal_agreement(normal: Tensor, depth: Tensor, alpha: Tensor, camera: Pinhole) -> Tensor:
+    """Same meaning as `ops.normal_agreement`."""
+    expected = depth_normals(depth / alpha.clamp(min=1e-6), camera)
+    agreement = (normalized(normal) * expected).sum(-1)
+    return ((1 - agreement) * alpha.detach())[1:-1, 1:-1].mean()

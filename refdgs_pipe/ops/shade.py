@@ -1,0 +1,281 @@
+"""Deferred shading around the shader's network: gather, composite, and normals against depth."""
+
+from typing import Any
+
+import _refdgs_native as native
+import torch
+from torch import Tensor
+
+from refdgs_pipe.errors import ShapeError
+from refdgs_pipe.ops.checks import check_alike
+from refdgs_pipe.ops.rasterize import Pinhole
+
+
+def shading_inputs(
+    features: Tensor,
+    alpha: Tensor,
+    normal: Tensor,
+    near: Tensor | None,
+    pixels: Tensor,
+    camera: Pinhole,
+    *,
+    threads: int | None = None,
+) -> tuple[Tensor, Tensor, Tensor, Tensor | None]:
+    """What the shader is given at covered pixels.
+
+    Args:
+        features: (H, W, C >= 4), sums of w f; the first four are diffuse (linear) and roughness.
+        alpha: (H, W) sums of w, above 0 at `pixels`.
+        normal: (H, W, 3) sums of w n, world.
+        near: (H, W, 4) local reflection features, or None.
+        pixels: (P,) int64, row * W + column, each at most once.
+        camera: constant: its pose gets no gradient.
+        threads: default torch's; the result does not depend on it.
+
+    Returns:
+        carried (P, 4) = features / alpha; the mirrored view ray (P, 3), unit, world; the cosine
+        (P,) between normal and view, 0 to 1; near at the pixels (P, 4) as it is, or None.
+
+    Raises:
+        ShapeError: sizes or types disagree.
+    """
+    size = (camera.height, camera.width)
+    _check_images(size, features=features, alpha=alpha, normal=normal, near=near)
+    if features.shape[2] < 4 or (near is not None and near.shape[2] != 4):
+        raise ShapeError("features need at least 4 channels, and near exactly 4")
+    count = threads or torch.get_num_threads()
+    carried, reflected, cosine, gathered = _ShadingInputs.apply(  # type: ignore[no-untyped-call]
+        features, alpha, normal, near, pixels.contiguous(), camera, count
+    )
+    return carried, reflected, cosine, None if near is None else gathered
+
+
+def composite(
+    diffuse: Tensor,
+    radiance: Tensor,
+    pixels: Tensor,
+    object_alpha: Tensor,
+    alpha: Tensor,
+    backdrop: Tensor,
+    behind: Tensor | None = None,
+    *,
+    threads: int | None = None,
+) -> Tensor:
+    """object_alpha srgb(diffuse + radiance) + (1 - alpha) backdrop + behind: (H, W, 3) sRGB.
+
+    Linear values are clipped to [1e-6, 1]; above 1 a gradient passes only if it darkens, so that a
+    highlight which its photo clips is not pushed up without end.
+
+    Args:
+        diffuse: (P, 3) linear, of any row stride; radiance: (P, 3) linear.
+        pixels: (P,) int64, row * W + column, each at most once; elsewhere the object is black.
+        object_alpha, alpha: (H, W).
+        backdrop: (3,) sRGB, constant.
+        behind: (H, W, 3) sRGB, premultiplied, or None.
+        threads: default torch's; the result does not depend on it.
+
+    Raises:
+        ShapeError: sizes or types disagree.
+    """
+    _check_images(tuple(alpha.shape), alpha=alpha, object_alpha=object_alpha, behind=behind)
+    check_alike(("diffuse", diffuse), ("radiance", radiance), ("alpha", alpha))
+    expected = (len(pixels), 3)
+    if tuple(diffuse.shape) != expected or tuple(radiance.shape) != expected:
+        raise ShapeError(
+            f"diffuse is {tuple(diffuse.shape)} and radiance {tuple(radiance.shape)}: "
+            f"give {expected}, one row for each pixel"
+        )
+    count = threads or torch.get_num_threads()
+    image: Tensor = _Composite.apply(  # type: ignore[no-untyped-call]
+        diffuse, radiance, pixels.contiguous(), object_alpha, alpha, backdrop, behind, count
+    )
+    return image
+
+
+def normal_agreement(
+    normal: Tensor, depth: Tensor, alpha: Tensor, camera: Pinhole, *, threads: int | None = None
+) -> Tensor:
+    """Mean of alpha (1 - n . n_depth) over pixels with four neighbours; a scalar.
+
+    n_depth: of the depth map, by central differences (2D Gaussian Splatting, section 5). Gradients
+    reach normal, depth and alpha through the depth's mean; alpha as a weight is constant.
+
+    Args:
+        normal: (H, W, 3) sums of w n, world; depth: (H, W) sums of w z; alpha: (H, W) sums of w.
+        camera: constant.
+        threads: default torch's; the result does not depend on it.
+
+    Raises:
+        ShapeError: sizes or types disagree, or the image has no inner pixel.
+    """
+    size = (camera.height, camera.width)
+    _check_images(size, normal=normal, depth=depth, alpha=alpha)
+    if min(size) < 3:
+        raise ShapeError(f"image of {camera.width}x{camera.height}: no pixel has four neighbours")
+    count = threads or torch.get_num_threads()
+    loss: Tensor = _NormalAgreement.apply(  # type: ignore[no-untyped-call]
+        normal, depth, alpha, camera, count
+    )
+    return loss
+
+
+def clip(x: Tensor, limit: float) -> Tensor:
+    """min(x, limit) whose gradient above the limit only pulls down.
+
+    So a highlight that is too bright for its photo comes back, and one that the photo clips is not
+    pushed up without end.
+    """
+    out: Tensor = _ClipThatPullsDown.apply(x, limit)  # type: ignore[no-untyped-call]
+    return out
+
+
+def _check_images(size: tuple[int, ...], **images: Tensor | None) -> None:
+    given = [(name, image) for name, image in images.items() if image is not None]
+    for name, image in given:
+        if tuple(image.shape[:2]) != size:
+            raise ShapeError(f"{name} is {tuple(image.shape)}: give {size[0]} rows of {size[1]}")
+    check_alike(*given)
+
+
+def _function(name: str, dtype: torch.dtype) -> Any:
+    return getattr(native, f"{name}_{'float' if dtype == torch.float32 else 'double'}")
+
+
+def _image(tensor: Tensor | None) -> tuple[int, list[int]]:
+    """Address and strides, of (H, W) as of (H, W, 1)."""
+    if tensor is None:
+        return 0, [0, 0, 0]
+    return tensor.data_ptr(), [*tensor.stride(), 0][:3]
+
+
+def _numbers(camera: Pinhole) -> list[float]:
+    """Lens and the rotation from the camera to the world."""
+    rotation = camera.cam_from_world[:3, :3].detach().double().T.flatten().tolist()
+    return [camera.fx, camera.fy, camera.cx, camera.cy, *rotation]
+
+
+def _planes(like: Tensor, channels: int, height: int, width: int) -> Tensor:
+    return torch.zeros(channels, height, width, dtype=like.dtype)
+
+
+class _ClipThatPullsDown(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, limit: float) -> Tensor:
+        ctx.save_for_backward(x > limit)
+        return x.clamp(max=limit)
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None]:
+        (over,) = ctx.saved_tensors
+        return torch.where(over & (grads[0] < 0), 0.0, grads[0]), None
+
+
+class _ShadingInputs(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: Any,
+        features: Tensor,
+        alpha: Tensor,
+        normal: Tensor,
+        near: Tensor | None,
+        pixels: Tensor,
+        camera: Pinhole,
+        threads: int,
+    ) -> tuple[Tensor, ...]:
+        count = len(pixels)
+        widths = (4, 3, 1, 4 if near is not None else 0)
+        out = [features.new_empty(count, width) for width in widths]
+        images = [_image(t) for t in (features, alpha, normal, near)]
+        head = ([*alpha.shape], _numbers(camera), count, pixels.data_ptr(), images, threads)
+        _function("shading_inputs", features.dtype)(*head, [t.data_ptr() for t in out])
+        ctx.save_for_backward(features, alpha, normal, near, pixels)
+        ctx.head = head
+        return out[0], out[1], out[2][:, 0], out[3]
+
+    @staticmethod
+    def backward(ctx: Any, *v: Tensor) -> tuple[Tensor | None, ...]:
+        features, alpha, _, near, _ = ctx.saved_tensors
+        given = [t.contiguous() for t in v]
+        size = tuple(alpha.shape)
+        grads = [
+            _planes(alpha, channels, *size)
+            for channels in (features.shape[2], 1, 3, 4 if near is not None else 0)
+        ]
+        _function("shading_inputs_bwd", alpha.dtype)(
+            *ctx.head, [t.data_ptr() for t in given], [t.data_ptr() for t in grads]
+        )
+        v_features, v_alpha, v_normal, v_near = (g.permute(1, 2, 0) for g in grads)
+        return (
+            v_features,
+            v_alpha[..., 0],
+            v_normal,
+            v_near if near is not None else None,
+            *[None] * 3,
+        )
+
+
+class _Composite(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: Any,
+        diffuse: Tensor,
+        radiance: Tensor,
+        pixels: Tensor,
+        object_alpha: Tensor,
+        alpha: Tensor,
+        backdrop: Tensor,
+        behind: Tensor | None,
+        threads: int,
+    ) -> Tensor:
+        if diffuse.stride(1) != 1:
+            diffuse = diffuse.contiguous()
+        radiance = radiance.contiguous()
+        planes = alpha.new_empty(3, *alpha.shape)
+        images = [_image(t) for t in (object_alpha, alpha, behind)]
+        row = diffuse.stride(0)
+        head = [[*alpha.shape], len(pixels), pixels.data_ptr(), diffuse.data_ptr(), row]
+        head += [radiance.data_ptr(), images, backdrop.tolist(), threads]
+        _function("composite", alpha.dtype)(*head, planes.data_ptr())
+        ctx.save_for_backward(diffuse, radiance, pixels, object_alpha, alpha)
+        ctx.head, ctx.behind = head, behind is not None
+        return planes.permute(1, 2, 0)
+
+    @staticmethod
+    def backward(ctx: Any, *v: Tensor) -> tuple[Tensor | None, ...]:
+        diffuse, _, pixels, _, alpha = ctx.saved_tensors
+        linear = diffuse.new_empty(len(pixels), 3)
+        v_object, v_alpha = alpha.new_empty(alpha.shape), alpha.new_empty(alpha.shape)
+        _function("composite_bwd", alpha.dtype)(
+            *ctx.head, [_image(v[0])], [t.data_ptr() for t in (linear, v_object, v_alpha)]
+        )
+        return linear, linear, None, v_object, v_alpha, None, v[0] if ctx.behind else None, None
+
+
+class _NormalAgreement(torch.autograd.Function):
+    """The loss is a scalar, so forward computes the whole gradient and backward scales it."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, normal: Tensor, depth: Tensor, alpha: Tensor, camera: Pinhole, threads: int
+    ) -> Tensor:
+        height, width = alpha.shape
+        scale = 1.0 / ((height - 2) * (width - 2))
+        grads: list[Tensor] = []
+        if any(ctx.needs_input_grad):
+            grads = [alpha.new_empty(channels, height, width) for channels in (3, 1, 1, 6)]
+        total: float = _function("normal_agreement", alpha.dtype)(
+            [height, width],
+            _numbers(camera),
+            [_image(t) for t in (normal, depth, alpha)],
+            scale,
+            threads,
+            [t.data_ptr() for t in grads] or [0] * 4,
+        )
+        ctx.grads = grads[:3]
+        return alpha.new_tensor(total * scale)
+
+    @staticmethod
+    def backward(ctx: Any, *v: Tensor) -> tuple[Tensor | None, ...]:
+        scale = float(v[0])
+        v_normal, v_depth, v_alpha = (g * scale for g in ctx.grads)
+        return v_normal.permute(1, 2, 0), v_depth[0], v_alpha[0], None, None

@@ -1,0 +1,183 @@
+"""Gathering, compositing and normal agreement, against their definition and differences."""
+
+from collections.abc import Callable
+
+import pytest
+import torch
+from torch import Tensor
+
+from refdgs_pipe import ops
+from refdgs_pipe.errors import ShapeError
+from refdgs_pipe.ops import Pinhole
+from refdgs_pipe.ops import reference_shade as reference
+
+H, W = 9, 12
+
+
+def camera(dtype: torch.dtype = torch.float64) -> Pinhole:
+    """A turned camera with rectangular pixels."""
+    turn = torch.linalg.qr(torch.randn(3, 3, generator=torch.Generator().manual_seed(1)).double())
+    pose = torch.eye(4, dtype=torch.float64)
+    pose[:3, :3] = turn.Q * torch.sign(torch.linalg.det(turn.Q))
+    return Pinhole(pose.to(dtype), 14.0, 15.0, 5.5, 4.8, W, H)
+
+
+def maps(seed: int, dtype: torch.dtype = torch.float64) -> dict[str, Tensor]:
+    """Splatted maps as leaves: plane by plane, as the rasteriser leaves them."""
+    rng = torch.Generator().manual_seed(seed)
+
+    def planes(channels: int) -> Tensor:
+        made = torch.rand(channels, H, W, generator=rng, dtype=torch.float64)
+        return made.to(dtype).permute(1, 2, 0)
+
+    alpha = planes(1)[..., 0] * 0.8 + 0.1
+    alpha = torch.where(planes(1)[..., 0] < 0.2, 0.0, alpha)
+    depth = (2 + planes(1)[..., 0]) * alpha
+    made = {
+        "features": planes(6),
+        "alpha": alpha,
+        "normal": planes(3) - 0.5,
+        "near": planes(4) - 0.5,
+        "depth": depth,
+        "radiance": 1.5 * planes(3),
+        "behind": planes(3) * 0.2,
+    }
+    return {name: value.requires_grad_() for name, value in made.items()}
+
+
+def covered(alpha: Tensor) -> Tensor:
+    return torch.nonzero(alpha.detach().reshape(-1) > 0.05).flatten()
+
+
+def shade(of: object, m: dict[str, Tensor], view: Pinhole, near: bool, behind: bool) -> Tensor:
+    """A picture through both operations, without a shader between."""
+    pixels = covered(m["alpha"])
+    carried, reflected, cosine, found = of.shading_inputs(  # type: ignore[attr-defined]
+        m["features"], m["alpha"], m["normal"], m["near"] if near else None, pixels, view
+    )
+    radiance = m["radiance"].reshape(-1, 3)[pixels] * cosine[:, None] + 0.3 * reflected.abs()
+    if near:
+        radiance = radiance + found[:, :3] ** 2
+    object_alpha = m["alpha"] * 0.9
+    backdrop = torch.tensor([0.2, 0.5, 0.9], dtype=m["alpha"].dtype)
+    out: Tensor = of.composite(  # type: ignore[attr-defined]
+        carried[:, :3] * (0.5 + carried[:, 3:]),
+        radiance,
+        pixels,
+        object_alpha,
+        m["alpha"],
+        backdrop,
+        m["behind"] if behind else None,
+    )
+    return out
+
+
+@pytest.mark.parametrize("near", [False, True])
+@pytest.mark.parametrize("behind", [False, True])
+def test_pictures_and_gradients_equal_the_definition(near: bool, behind: bool) -> None:
+    results = []
+    for of in (ops, reference):
+        m = maps(3)
+        image = shade(of, m, camera(), near, behind)
+        image.backward(torch.linspace(-1, 1, H * W * 3).double().reshape(H, W, 3))
+        results.append((image.detach(), {k: v.grad for k, v in m.items()}))
+    (image, grads), (expected, expected_grads) = results
+    assert torch.allclose(image, expected, rtol=0, atol=1e-12)
+    for name, wanted in expected_grads.items():
+        if wanted is not None:
+            assert torch.allclose(grads[name], wanted, rtol=1e-10, atol=1e-12), name
+
+
+def test_normal_agreement_equals_the_definition() -> None:
+    results = []
+    for of in (ops, reference):
+        m = maps(4)
+        loss = of.normal_agreement(m["normal"], m["depth"], m["alpha"], camera())
+        (3 * loss).backward()
+        results.append((loss.detach(), m["normal"].grad, m["depth"].grad, m["alpha"].grad))
+    for found, wanted in zip(*results, strict=True):
+        found, wanted = torch.as_tensor(found), torch.as_tensor(wanted)
+        assert torch.allclose(found, wanted, rtol=1e-10, atol=1e-13)
+
+
+def differences(run: Callable[..., Tensor], inputs: list[Tensor]) -> None:
+    assert torch.autograd.gradcheck(run, inputs, eps=1e-6, atol=1e-6, rtol=1e-5)
+
+
+def test_gradients_equal_finite_differences() -> None:
+    m = maps(5)
+    pixels, view = covered(m["alpha"]), camera()
+    # below: away from the kinks of clipping, which are proved against the definition above
+    dark = {name: (0.3 * m[name].detach()).requires_grad_() for name in ("features", "radiance")}
+    backdrop = torch.tensor([0.2, 0.5, 0.9]).double()
+    solid = (m["alpha"].detach() * 0.5 + 0.4).requires_grad_()
+
+    def gather(features: Tensor, alpha: Tensor, normal: Tensor, near: Tensor) -> Tensor:
+        parts = ops.shading_inputs(features, alpha, normal, near, pixels, view)
+        return torch.cat([part.flatten() for part in parts if part is not None])
+
+    differences(gather, [m["features"], solid, m["normal"], m["near"]])
+
+    def compose(features: Tensor, radiance: Tensor, alpha: Tensor, behind: Tensor) -> Tensor:
+        rows = [t.reshape(H * W, -1)[pixels][:, :3] for t in (features, radiance)]
+        return ops.composite(*rows, pixels, 0.8 * alpha, alpha, backdrop, behind)
+
+    differences(compose, [dark["features"], dark["radiance"], solid, m["behind"]])
+
+
+def test_a_clipped_highlight_can_only_be_pulled_down() -> None:
+    bright = torch.full((2, 3), 3.0, dtype=torch.float64, requires_grad=True)
+    none = torch.zeros(2, 3, dtype=torch.float64)
+    alpha = torch.ones(1, 2, dtype=torch.float64)
+    image = ops.composite(bright, none, torch.arange(2), alpha, alpha, torch.zeros(3).double())
+    image.backward(torch.tensor([[[1.0], [-1.0]]]).double().expand(1, 2, 3))
+    assert (bright.grad[0] > 0).all()
+    assert (bright.grad[1] == 0).all()
+    assert torch.allclose(image, torch.ones(1, 2, 3).double())
+
+
+def test_float_is_as_good_as_float_gets_and_threads_do_not_matter() -> None:
+    exact = maps(6)
+    shade(ops, exact, camera(), True, True).sum().backward()
+    found = []
+    for threads in (1, 2):
+        torch.set_num_threads(threads)
+        m = maps(6, torch.float32)
+        shade(ops, m, camera(torch.float32), True, True).sum().backward()
+        loss = ops.normal_agreement(m["normal"], m["depth"], m["alpha"], camera(torch.float32))
+        loss.backward()
+        found.append((m["normal"].grad, m["depth"].grad))
+        error = (m["features"].grad - exact["features"].grad).norm() / exact["features"].grad.norm()
+        assert float(error) < 1e-5
+    torch.set_num_threads(1)
+    assert all(torch.equal(a, b) for a, b in zip(*found, strict=True))
+
+
+def test_no_covered_pixel_is_an_empty_picture() -> None:
+    m = maps(7)
+    none = torch.zeros(0, dtype=torch.int64)
+    parts = ops.shading_inputs(m["features"], m["alpha"], m["normal"], None, none, camera())
+    assert [len(part) for part in parts if part is not None] == [0, 0, 0]
+    zero = torch.zeros(H, W, dtype=torch.float64)
+    image = ops.composite(
+        parts[0][:, :3], parts[1], none, zero, zero, torch.tensor([0.1, 0.2, 0.3]).double()
+    )
+    assert torch.allclose(image, torch.tensor([0.1, 0.2, 0.3]).double().expand(H, W, 3))
+
+
+def test_wrong_sizes_are_refused() -> None:
+    m = maps(8)
+    pixels = covered(m["alpha"])
+    with pytest.raises(ShapeError, match="normal"):
+        ops.shading_inputs(m["features"], m["alpha"], m["normal"][1:], None, pixels, camera())
+    with pytest.raises(ShapeError, match="4 channels"):
+        ops.shading_inputs(m["normal"], m["alpha"], m["normal"], None, pixels, camera())
+    with pytest.raises(ShapeError, match="one row for each pixel"):
+        rows = torch.zeros(3, 3, dtype=torch.float64)
+        ops.composite(rows, rows, pixels, m["alpha"], m["alpha"], torch.zeros(3).double())
+    with pytest.raises(ShapeError, match="depth is"):
+        ops.normal_agreement(m["normal"], m["depth"].float(), m["alpha"], camera())
+    tiny = Pinhole(torch.eye(4).double(), 1.0, 1.0, 1.0, 1.0, 2, 2)
+    with pytest.raises(ShapeError, match="four neighbours"):
+        two = [m[name][:2, :2] for name in ("normal", "depth", "alpha")]
+        ops.normal_agreement(*two, tiny)
