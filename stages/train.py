@@ -19,7 +19,9 @@ def train(views: Views, model: SparseModel, params: TrainParams, job: Job) -> Su
 
     torch.set_num_threads(job.threads)
     trainer = Trainer(views, model, params, job.scratch)
-    field = trainer.run(lambda done, total, note: job.progress("training", done, total, note))
+    field = trainer.run(
+        lambda done, total, note, work: job.progress("training", done, total, note, work)
+    )
     shown = trainer.coverage(field)
     if shown < (LEAST_OVERLAP if trainer.masked else LEAST_FILL):
         job.warn(

@@ -28,20 +28,22 @@ class Estimate:
 
     def __init__(self) -> None:
         self._label = ""
-        self._seen: deque[tuple[float, int]] = deque()
+        self._seen: deque[tuple[float, float]] = deque()
 
     def remaining_s(self, event: Progress, now: float) -> float | None:
         """Seconds to go, or None while nothing can be said."""
         if event.label != self._label:
             self._label = event.label
             self._seen.clear()
-        self._seen.append((now, event.done))
+        behind: float = event.done if event.work is None else event.work
+        total = event.total if event.work is None else 1.0
+        self._seen.append((now, behind))
         while len(self._seen) > 2 and self._seen[1][0] < now - WINDOW_S:
             self._seen.popleft()
-        since, done = self._seen[0]
-        if event.total is None or event.done <= done or now - since < 1.0:
+        since, before = self._seen[0]
+        if total is None or behind <= before or now - since < 1.0:
             return None
-        return (event.total - event.done) * (now - since) / (event.done - done)
+        return (total - behind) * (now - since) / (behind - before)
 
 
 class Console:

@@ -23,13 +23,17 @@ class Started:
 
 @dataclass(frozen=True)
 class Progress:
-    """`done` of `total` steps (None: not known) of the running stage."""
+    """`done` of `total` steps (None: not known) of the running stage.
+
+    `work`, 0 to 1, is the share of the time that should be behind, where steps differ in cost.
+    """
 
     stage: str
     label: str
     done: int
     total: int | None
     note: str = ""  # live figures, such as "loss 0.031 psnr 27.4"
+    work: float | None = None
 
 
 @dataclass(frozen=True)

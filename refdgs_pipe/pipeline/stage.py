@@ -55,15 +55,20 @@ class Job:
             yield item
         self.progress(label, total or done, total)
 
-    def progress(self, label: str, done: int, total: int | None, note: str = "") -> None:
+    def progress(
+        self, label: str, done: int, total: int | None, note: str = "", work: float | None = None
+    ) -> None:
         """Report progress, for loops that `track` does not fit.
+
+        Args:
+            work: 0 to 1, where steps differ in cost; the time left is estimated from it.
 
         Raises:
             Cancelled: the user asked to stop.
         """
         if self.stop.is_set():
             raise Cancelled(f"stopped during {label}")
-        self.emit(Progress(self.stage, label, done, total, note))
+        self.emit(Progress(self.stage, label, done, total, note, work))
 
     def measure(self, name: str, value: float | int | str, unit: str = "") -> None:
         """Record a figure about the result; it is kept in the manifest."""

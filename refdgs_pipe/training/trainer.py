@@ -1,5 +1,6 @@
 """The optimisation of a Ref-DGS field, resumable at any step."""
 
+import itertools
 import json
 import math
 import time
@@ -25,10 +26,12 @@ from refdgs_pipe.training.scoring import coverage
 from refdgs_pipe.training.settings import TrainParams
 from refdgs_pipe.training.shading import Picture, draw
 
-Progress = Callable[[int, int, str], None]
+Progress = Callable[[int, int, str, float], None]  # step, steps, figures, share of the work
 CHECKPOINT_SECONDS = 30.0
 REPORT_STEPS = 10
 COVERAGE_VIEWS = 6
+# What a step costs, measured on the scenes of docs/performance.md, in parts of a full one
+PIXEL_COST, SURFEL_COST, REFLECT_COST, LOCAL_COST = 0.3, 0.2, 0.35, 0.15
 NEAR = 0.02  # of the distance of the nearest camera to the ball's centre
 
 
@@ -70,7 +73,7 @@ class Trainer:
                 if self.iteration % REPORT_STEPS == 0:
                     count = len(self.field.geometry)
                     note = f"loss {self.loss:.4f}  PSNR {self.psnr:.2f} dB  {count} surfels"
-                    progress(self.iteration, total, note)
+                    progress(self.iteration, total, note, self._work())
                 if time.monotonic() - saved > CHECKPOINT_SECONDS:
                     self.save()
                     saved = time.monotonic()
@@ -153,6 +156,23 @@ class Trainer:
         self.psnr = psnr if not keep else keep * self.psnr + (1 - keep) * psnr
         if self.iteration % 50 == 0:
             self.curve.append((self.iteration, self.loss, self.psnr))
+
+    def _work(self) -> float:
+        """The share of the run's time that should be behind, from what its phases cost."""
+        p = self.params
+        edges = sorted({0.0, 1.0, p.coarse_until, self.field.reflect_from, p.local_from})
+        now = self.iteration / p.iterations
+        behind = whole = 0.0
+        for start, end in itertools.pairwise(edge for edge in edges if edge <= 1):
+            pixels = p.coarse**2 if start < p.coarse_until else 1.0
+            cost = PIXEL_COST * pixels
+            if p.reflection:
+                cost += REFLECT_COST * pixels * (start >= self.field.reflect_from)
+                cost += LOCAL_COST * pixels * (p.local == "dual" and start >= p.local_from)
+            cost += SURFEL_COST
+            whole += cost * (end - start)
+            behind += cost * max(0.0, min(end, now) - start)
+        return behind / whole
 
     def save(self) -> None:
         """Write the checkpoint; an older one is replaced only when the new one is complete."""

@@ -27,6 +27,13 @@ def test_the_estimate_follows_the_speed_of_the_last_half_minute() -> None:
     assert left == pytest.approx((1000 - 180) / 2)
 
 
+def test_the_estimate_follows_the_work_where_steps_differ_in_cost() -> None:
+    estimate = Estimate()
+    estimate.remaining_s(Progress("train", "training", 0, 100, "", 0.0), 0.0)
+    left = estimate.remaining_s(Progress("train", "training", 50, 100, "", 0.25), 10.0)
+    assert left == pytest.approx(30)
+
+
 def test_a_new_phase_starts_a_new_estimate_and_no_total_gives_none() -> None:
     estimate = Estimate()
     estimate.remaining_s(Progress("sfm", "features", 0, 10), 0.0)

@@ -91,7 +91,7 @@ def thinned(field: SurfelField, every: int) -> SurfelField:
     return replace(field, geometry=kept)
 
 
-def quiet(done: int, total: int, note: str) -> None:
+def quiet(done: int, total: int, note: str, work: float) -> None:
     """A run that nobody watches."""
 
 
@@ -155,7 +155,7 @@ def test_an_interrupted_run_ends_bit_for_bit_like_an_undisturbed_one(tmp_path: P
     (tmp_path / "b").mkdir()
     whole = Trainer(views, model, SMALL, tmp_path / "a").run(quiet)
 
-    def stop_at_thirty(done: int, total: int, note: str) -> None:
+    def stop_at_thirty(done: int, total: int, note: str, work: float) -> None:
         if done == 30:
             raise Cancelled("enough")
 
@@ -163,7 +163,7 @@ def test_an_interrupted_run_ends_bit_for_bit_like_an_undisturbed_one(tmp_path: P
         Trainer(views, model, SMALL, tmp_path / "b").run(stop_at_thirty)
     resumed_from = []
     trainer = Trainer(views, model, SMALL, tmp_path / "b")
-    resumed = trainer.run(lambda done, total, note: resumed_from.append(done))
+    resumed = trainer.run(lambda done, total, note, work: resumed_from.append(done))
     assert resumed_from[0] == 40
     for name in ("means", "quats", "scales", "opacities", "diffuse"):
         np.testing.assert_array_equal(getattr(whole, name), getattr(resumed, name))
@@ -281,3 +281,12 @@ def test_the_hull_of_a_ball_seen_from_all_sides_is_the_ball() -> None:
     assert np.median(outward) > 0.95
     inside = initial.volume_cloud(hull, 2000, np.random.default_rng(0))
     assert np.median(np.linalg.norm(inside.points, axis=1)) < 0.85
+
+
+def test_the_work_behind_grows_to_one_and_late_steps_weigh_more(tmp_path: Path) -> None:
+    views, model = capture(tmp_path / "views")
+    shares: list[float] = []
+    Trainer(views, model, SMALL, tmp_path).run(lambda done, total, note, work: shares.append(work))
+    assert shares == sorted(shares)
+    assert shares[-1] == pytest.approx(1)
+    assert shares[1] - shares[0] < 0.6 * (shares[-1] - shares[-2])
