@@ -1,7 +1,12 @@
-"""Compare the field with photos that were held out."""
+"""Compare the field and its mesh with held-out photos, and with ground truth if there is any."""
+
+from dataclasses import replace
+from functools import partial
 
 from pydantic import Field
 
+from refdgs_pipe.artifacts.capture import Capture
+from refdgs_pipe.artifacts.mesh import Mesh
 from refdgs_pipe.artifacts.scores import Scores
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.surfel_field import SurfelField
@@ -11,28 +16,45 @@ from refdgs_pipe.pipeline.stage import Job, stage
 
 
 class EvaluateParams(Params):
-    """How the field is scored."""
+    """How the result is scored."""
 
     max_side: int = Field(800, ge=32, le=8192, description="longest image side compared, in pixels")
-
-
-@stage(version=1)
-def evaluate(
-    views: Views, model: SparseModel, field: SurfelField, params: EvaluateParams, job: Job
-) -> Scores:
-    """PSNR and SSIM of every held-out view; of all views if none was held out."""
-    from refdgs_pipe.training.scoring import score_field
-
-    largest = max(max(camera.width, camera.height) for camera in model.cameras)
-    scores = score_field(
-        views,
-        model,
-        field,
-        scale=min(1.0, params.max_side / largest),
-        device=job.device,
-        track=lambda cameras: job.track(cameras, "comparing with photos"),
+    lpips_weights: str = Field(
+        "",
+        max_length=4096,
+        description="safetensors file of LPIPS's network, a path; empty: none",
     )
-    kind = "held-out" if scores.split == "test" else "training"
-    job.measure(f"PSNR of {kind} views", round(scores.psnr, 2), "dB")
-    job.measure(f"SSIM of {kind} views", round(scores.ssim, 4))
-    return scores
+    lpips_digest: str = Field(
+        "", max_length=64, description="hash of that file, as `eval --lpips-weights` finds it, hex"
+    )
+
+
+@stage(version=2, programs=("open3d-cpu", "scipy"))
+def evaluate(
+    capture: Capture,
+    views: Views,
+    model: SparseModel,
+    field: SurfelField,
+    mesh: Mesh,
+    params: EvaluateParams,
+    job: Job,
+) -> Scores:
+    """Score every held-out view (all, if none was held out) and the clean mesh."""
+    from refdgs_pipe.evaluation.lpips import load_lpips
+    from refdgs_pipe.evaluation.scoring import Drawing, Protocol, Subject, score
+    from refdgs_pipe.evaluation.speed import Timed
+    from refdgs_pipe.training.render import render_image, render_surface_map
+
+    picture = Timed(partial(render_image, field, device=job.device, threads=job.threads))
+    maps = partial(render_surface_map, field, device=job.device, threads=job.threads)
+    lpips = load_lpips(params.lpips_weights, params.lpips_digest)
+    root = capture.layout().root
+    protocol = Protocol(params.max_side, lpips, lambda c: job.track(c, "comparing views"))
+    scores = score(Subject(views, model, mesh, root), Drawing(picture, maps), protocol)
+    for name, value, unit in scores.headlines():
+        job.measure(name, value, unit)
+    width, height = picture.size
+    job.measure("render rate", round(picture.per_second, 2), "views/s")
+    job.measure("rendered", f"{width} x {height} on {job.device}, threads: {job.threads}")
+    parts = {"geometry": field.geometry, "local": field.local, "background": field.background}
+    return replace(scores, surfels={name: len(part) for name, part in parts.items()})

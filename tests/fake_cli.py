@@ -1,11 +1,14 @@
 """The real command line over the small stages of `fake_stages`: python fake_cli.py run LETTERS"""
 
-from fake_stages import STAGES, Letters
+import os
+
+from fake_stages import BENCH_STAGES, STAGES, Letters
 
 from refdgs_pipe.cli import app
 from refdgs_pipe.pipeline import catalog
 
 if __name__ == "__main__":
-    catalog.load_stages = lambda names=(): list(STAGES)
+    stages = BENCH_STAGES if "FAKE_BENCH" in os.environ else STAGES
+    catalog.load_stages = lambda names=(): list(stages)
     catalog.source_type = lambda stages: Letters
     app.main()

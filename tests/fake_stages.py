@@ -1,5 +1,6 @@
 """Small stages with the shape of the real ones, for tests of the engine and the command line."""
 
+import json
 import os
 import time
 from dataclasses import dataclass
@@ -8,7 +9,7 @@ from typing import Self
 
 from pydantic import Field
 
-from refdgs_pipe.errors import CaptureError, MeshError
+from refdgs_pipe.errors import CaptureError, MeshError, TrainingError
 from refdgs_pipe.params import Params
 from refdgs_pipe.pipeline.stage import Job, Stage, stage
 
@@ -118,4 +119,50 @@ def export(shout: Shout, words: Words, params: PrintParams, job: Job) -> Page:
     return Page(f"{shout.text} ({words.text}) {params.width}")
 
 
+class Marks(Text):
+    """Scores, as generic as they come."""
+
+    def save(self, folder: Path) -> None:
+        views = [{"name": "a", "psnr": 1.0}]
+        seed, scene = self.text.split(maxsplit=1)
+        mean = {"psnr": 20.0 + int(seed) + len(scene), "ssim": None}
+        surface = {"chamfer": 0.5 / (1 + int(seed)), "is_closed": True}
+        text = json.dumps({"mean": mean, "surface": surface, "views": views, "notes": {"a": "b"}})
+        (folder / "scores.json").write_text(text)
+
+    @classmethod
+    def load(cls, folder: Path) -> Self:
+        return cls((folder / "scores.json").read_text())
+
+
+class TrainParams(Params):
+    """Training."""
+
+    seed: int = Field(0, ge=0, description="of all random choices")
+    mood: str = Field("calm", max_length=20, description="how it feels, a word")
+
+
+class ScoreParams(Params):
+    """Scoring."""
+
+
+@stage(version=1)
+def train(words: Words, params: TrainParams, job: Job) -> Shout:
+    """Fail where the scene or the mood says so, else shout."""
+    if "diverging" in words.text:
+        raise TrainingError("training diverged | at step 3")
+    if "native" in words.text:
+        raise ZeroDivisionError("a mistake of ours")
+    made = shout.run(words=words, params=ShoutParams(mood=params.mood), job=job)
+    assert isinstance(made, Shout)
+    return Shout(f"{params.seed} {made.text}")
+
+
+@stage(version=1)
+def evaluate(shout: Shout, params: ScoreParams, job: Job) -> Marks:
+    """Give marks."""
+    return Marks(shout.text)
+
+
 STAGES: list[Stage] = [read, shout, export]
+BENCH_STAGES: list[Stage] = [read, train, evaluate]

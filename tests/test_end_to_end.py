@@ -36,7 +36,10 @@ FILES = {"asset.glb", "asset.usdz", "asset.usdc", "asset.obj", "splats.ply", "pr
 
 
 def write_capture(folder: Path, *, count: int = 24, size: int = 64) -> Path:
-    """A data set with known poses of the procedural scene: every fourth view held out."""
+    """A data set with known poses of the procedural scene: every fourth view held out.
+
+    The true normals of held-out views are there, and no other truth.
+    """
     scene, frames = glossy_pair(), {"train": list[Any](), "test": list[Any]()}
     for i, camera in enumerate(orbit(count, size=size, focal=size * 1.4)):
         maps = scene.surface_map(camera)
@@ -44,6 +47,10 @@ def write_capture(folder: Path, *, count: int = 24, size: int = 64) -> Path:
         rgba = np.concatenate([maps.color, maps.alpha[..., None]], -1)
         (folder / split).mkdir(parents=True, exist_ok=True)
         Image.fromarray(np.round(rgba * 255).astype(np.uint8)).save(folder / split / f"r_{i}.png")
+        if split == "test":
+            code = np.concatenate([maps.normal / 2 + 0.5, maps.alpha[..., None]], -1)
+            truth = Image.fromarray(np.round(code * 255).astype(np.uint8))
+            truth.save(folder / split / f"r_{i}_normal.png")
         pose = camera.world_from_cam @ np.diag([1.0, -1.0, -1.0, 1.0])
         record = {"file_path": f"./{split}/r_{i}", "transform_matrix": pose.tolist()}
         frames[split].append(record)
@@ -94,10 +101,32 @@ def test_a_capture_becomes_an_asset_and_only_what_changed_is_made_again(tmp_path
     assert length == record["files"]["asset.glb"]
     assert (asset / "asset.usdz").read_bytes()[:2] == b"PK"
     assert run("run", photos)["made"] == []
+    check_scores(tmp_path / "photos.refdgs")
+    (tmp_path / "photos" / "test" / "r_3_normal.png").unlink()
+    assert run("run", photos)["made"] == ["ingest", "evaluate"]  # truth is no photo
     followers = ["extract", "clean", "unwrap", "bake", "export"]
     again = run("run", photos, extract__voxel=0.025)["made"]
     assert [name for name in again if name != "evaluate"] == followers
     assert run("run", photos)["made"] == []
+
+
+def check_scores(work: Path) -> None:
+    """`eval` uses the scores that the run has made, and tells them to people and programs."""
+    scored = subprocess.run(
+        [sys.executable, "-m", "refdgs_pipe.cli.app", "eval", str(work), "--json"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert "done in" not in scored.stderr  # nothing is made again
+    record = json.loads(scored.stdout)
+    assert record["scores"]["split"] == "test" and len(record["scores"]["views"]) == 6
+    assert record["scores"]["mean"]["psnr"] > 5
+    assert 0 < record["scores"]["mean"]["normal_mae_deg"] < 90
+    assert record["scores"]["mean"]["depth_mae"] is None
+    assert record["scores"]["notes"]["surface"] == "no gt_mesh.ply in the data set"
+    assert record["speed"]["views_per_second"] > 0
+    assert set(record["seconds"]) >= {"ingest", "train", "clean", "evaluate", "export"}
 
 
 @pytest.mark.slow

@@ -2,14 +2,16 @@
 
 import json
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
+from refdgs_pipe.artifacts.truth import all_truth_files
 from refdgs_pipe.artifacts.views import KnownPose
 from refdgs_pipe.errors import CaptureError, InputError
 
-Kind = Literal["photos", "blender", "nerfstudio", "colmap"]
+Kind = Literal["photos", "blender", "nerfstudio", "nero", "colmap"]
+MaskKind = Literal["drawn", "alpha", "depth"]
 _MODEL_FOLDERS = ("sparse/0", "sparse", "colmap/sparse/0", "")
 
 
@@ -21,14 +23,17 @@ class Frame:
         path: the file; source: its name relative to the capture.
         name: unique in the capture, safe as a file name.
         mask: the file of its mask, or None.
+        mask_kind: "drawn" over the photo; "alpha", an alpha channel in a file of its own; "depth",
+            NeRO's 16-bit depth, whose far end is the background.
         split: "train" or "test".
         known: its pose, with the lens in pixels of the file as stored, or None.
     """
 
     path: Path
-    source: str
-    name: str
+    source: str = ""
+    name: str = ""
     mask: Path | None = None
+    mask_kind: MaskKind = "drawn"
     split: str = "train"
     known: KnownPose | None = None
 
@@ -40,7 +45,7 @@ class Layout:
     Args:
         kind: photos, or which sort of data set with known poses.
         root: the folder that relative names start from.
-        photos: photo candidates (kinds "photos" and "colmap"), in natural order.
+        photos: photo candidates (kinds "photos", "nero" and "colmap"), in natural order.
         masks: the folder of masks, or None.
         model: files that hold the known poses.
     """
@@ -76,6 +81,8 @@ class Capture:
     def files(self) -> list[tuple[str, Path]]:
         """Every file that reading this capture would open, as (relative name, path), sorted.
 
+        The ground truth of a data set is among them: a score must not outlive its truth.
+
         Raises:
             CaptureError: a path does not exist, or nothing in it could be a photo.
         """
@@ -85,6 +92,10 @@ class Capture:
             for model in found.model:
                 for record in read_frames(model):
                     files.update(p for p in frame_files(found.root, record) if p is not None)
+        if found.kind == "nero":
+            files.update(p for p in map(nero_depth, found.photos) if p.is_file())
+        if found.kind in ("blender", "nerfstudio", "nero"):
+            files |= all_truth_files(found.root, list(files))
         if found.masks is not None:
             files.update(_visible_files(found.masks))
         return sorted((relative_name(found.root, path), path) for path in files)
@@ -101,10 +112,11 @@ def read_frames(path: Path) -> list[dict[str, object]]:
     Raises:
         InputError: the file is not such a JSON.
     """
-    frames = read_transforms(path).get("frames")
-    if not isinstance(frames, list) or not all("file_path" in frame for frame in frames):
+    frames: Any = read_transforms(path).get("frames")
+    is_list = isinstance(frames, list)
+    if not (is_list and all(isinstance(f, dict) and "file_path" in f for f in frames)):
         raise InputError(f"{path}: has no list `frames` with a `file_path` each")
-    return frames
+    return list(frames)
 
 
 def read_transforms(path: Path) -> dict[str, object]:
@@ -123,21 +135,30 @@ def read_transforms(path: Path) -> dict[str, object]:
 
 
 def frame_files(root: Path, record: dict[str, object]) -> tuple[Path | None, Path | None]:
-    """The photo and the mask of one entry of `frames`; None where the file does not exist."""
+    """The photo and the mask of one entry of `frames`; None where the file does not exist.
+
+    Without a `mask_path` the mask is r_0_alpha.png beside r_0.png (Shiny Blender's ball).
+    """
     photo = _with_suffix(root / str(record["file_path"]))
-    mask = record.get("mask_path")
-    return photo, None if mask is None else _with_suffix(root / str(mask))
+    if (mask := record.get("mask_path")) is not None:
+        return photo, _with_suffix(root / str(mask))
+    if photo is None:
+        return None, None
+    return photo, _with_suffix(photo.with_name(f"{photo.stem}_alpha.png"))
 
 
-def named_frames(
-    root: Path, found: list[tuple[Path, Path | None, str, KnownPose | None]]
-) -> list[Frame]:
-    """Frames of (photo, mask, split, pose) records, named after their place below `root`."""
-    sources = [relative_name(root, photo) for photo, *_ in found]
+def nero_depth(photo: Path) -> Path:
+    """Where NeRO's GlossySynthetic keeps the depth of a photo: 7-depth.png beside 7.png."""
+    return photo.with_name(f"{photo.stem}-depth.png")
+
+
+def named_frames(root: Path, frames: list[Frame]) -> list[Frame]:
+    """The frames, named after their place below `root`."""
+    sources = [relative_name(root, frame.path) for frame in frames]
     names = safe_names(sources)
     return [
-        Frame(photo, source, name, mask, split, known)
-        for (photo, mask, split, known), source, name in zip(found, sources, names, strict=True)
+        replace(frame, source=source, name=name)
+        for frame, source, name in zip(frames, sources, names, strict=True)
     ]
 
 
@@ -191,8 +212,12 @@ def _folder_layout(root: Path) -> Layout:
         return Layout("blender", root, model=tuple(p for p in trains if p.is_file()))
     if (root / "transforms.json").is_file():
         return Layout("nerfstudio", root, model=(root / "transforms.json",))
+    if cameras := _nero_cameras(root):
+        photos = [path for path in root.glob("*.png") if path.stem.isdecimal()]
+        return Layout("nero", root, tuple(sorted(photos, key=_natural)), model=cameras)
     masks = root / "masks" if (root / "masks").is_dir() else None
-    images = root / "images" if (root / "images").is_dir() else None
+    places = (root / "images", root / "colmap" / "images")
+    images = next((place for place in places if place.is_dir()), None)
     model = _colmap_files(root)
     if model and images is not None:
         return Layout("colmap", images, tuple(_visible_files(images)), masks, model)
@@ -204,6 +229,13 @@ def _folder_layout(root: Path) -> Layout:
     if not photos:
         raise CaptureError(f"{root}: the folder holds no files. Put the photos into it")
     return Layout("photos", home, tuple(photos), masks)
+
+
+def _nero_cameras(root: Path) -> tuple[Path, ...]:
+    """NeRO's GlossySynthetic: 0-camera.pkl, 1-camera.pkl, ..., or ()."""
+    found = root.glob("*-camera.pkl")
+    numbered = [path for path in found if path.name.removesuffix("-camera.pkl").isdecimal()]
+    return tuple(sorted(numbered, key=_natural))
 
 
 def _json_layout(path: Path) -> Layout:

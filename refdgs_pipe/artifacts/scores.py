@@ -1,48 +1,147 @@
-"""How good a result is, view by view."""
+"""How good a result is: its views against photos and truth, its mesh against the true surface."""
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
+
+from refdgs_pipe.errors import CorruptError
 
 
 @dataclass(frozen=True)
 class ViewScore:
-    """One view against its photo: PSNR in dB and SSIM."""
+    """One view. docs/evaluation.md has the protocols; None: could not be computed.
+
+    Args:
+        psnr, psnr_per_channel: dB; of all channels at once, and the mean of the channels' own.
+        ssim, lpips: similarity (1 is best) and distance (0 is best).
+        normal_mae_deg: mean angle in degrees over all pixels, normals over white.
+        normal_mae_foreground_deg: mean angle in degrees over the object's pixels.
+        depth_mae: mean absolute difference of depth, world units, where both have a surface.
+        alpha_iou: intersection over union of the masks alpha >= 0.5.
+    """
 
     name: str
     psnr: float
+    psnr_per_channel: float
     ssim: float
+    lpips: float | None = None
+    normal_mae_deg: float | None = None
+    normal_mae_foreground_deg: float | None = None
+    depth_mae: float | None = None
+    alpha_iou: float | None = None
+
+
+VIEW_FIGURES = tuple(name for name in ViewScore.__dataclass_fields__ if name != "name")
+
+
+@dataclass(frozen=True)
+class SurfaceScore:
+    """The clean mesh against the true surface; lengths in world units. None: not computed.
+
+    Args:
+        diagonal: of the true surface's bounding box; the unit of every `_percent`.
+        paper_chamfer: between points that the training cameras see.
+        chamfer, accuracy, completeness: between surfaces, where training cameras see them.
+        f_score_half_percent, f_score_one_percent: share within that part of the diagonal, 0 to 1.
+    """
+
+    diagonal: float
+    paper_chamfer: float | None = None
+    chamfer: float | None = None
+    accuracy: float | None = None
+    completeness: float | None = None
+    f_score_half_percent: float | None = None
+    f_score_one_percent: float | None = None
+
+    def percent(self, length: float | None) -> float | None:
+        """A length in percent of the diagonal."""
+        return None if length is None else 100 * length / self.diagonal
 
 
 @dataclass(frozen=True)
 class Scores:
-    """All scored views.
+    """All scored views, and the surface.
 
     Args:
         split: "test" for held-out views; "train" when none was held out.
+        surface: None when there is no truth to compare with.
+        surfels: part of the field -> how many it has.
+        notes: figure -> why it was not computed, or what it leaves out.
     """
 
     split: str
     views: tuple[ViewScore, ...]
+    surface: SurfaceScore | None = None
+    surfels: dict[str, int] = field(default_factory=dict)
+    notes: dict[str, str] = field(default_factory=dict)
+
+    def mean(self, figure: str) -> float | None:
+        """The mean of one of VIEW_FIGURES over the views that have it; None if none has."""
+        values = [getattr(view, figure) for view in self.views]
+        known = [value for value in values if value is not None]
+        return sum(known) / len(known) if known else None
 
     @property
     def psnr(self) -> float:
-        """Mean over views, dB."""
-        return sum(v.psnr for v in self.views) / max(1, len(self.views))
+        """Mean over views, dB; 0 without views."""
+        return self.mean("psnr") or 0.0
 
     @property
     def ssim(self) -> float:
-        """Mean over views."""
-        return sum(v.ssim for v in self.views) / max(1, len(self.views))
+        """Mean over views; 0 without views."""
+        return self.mean("ssim") or 0.0
+
+    def headlines(self) -> list[tuple[str, float, str]]:
+        """(name, rounded value, unit) of the figures that say most; those that are known."""
+        kind = "held-out" if self.split == "test" else "training"
+        surface = self.surface
+        chamfer = None if surface is None else surface.percent(surface.chamfer)
+        found = [
+            (f"PSNR of {kind} views", self.mean("psnr"), 2, "dB"),
+            (f"SSIM of {kind} views", self.mean("ssim"), 4, ""),
+            ("normal error", self.mean("normal_mae_deg"), 2, "degrees, all pixels"),
+            ("Chamfer distance", chamfer, 3, "% of the diagonal"),
+        ]
+        return [(name, round(v, digits), unit) for name, v, digits, unit in found if v is not None]
+
+    def record(self) -> dict[str, Any]:
+        """Everything as JSON has it, with the means and percentages that `load` leaves out."""
+        surface = None
+        if self.surface is not None:
+            lengths = ("paper_chamfer", "chamfer", "accuracy", "completeness")
+            percent = {
+                f"{name}_percent": self.surface.percent(getattr(self.surface, name))
+                for name in lengths
+            }
+            surface = asdict(self.surface) | percent
+        return {
+            "split": self.split,
+            "mean": {name: self.mean(name) for name in VIEW_FIGURES},
+            "surface": surface,
+            "surfels": self.surfels,
+            "notes": self.notes,
+            "views": [asdict(view) for view in self.views],
+        }
 
     def save(self, folder: Path) -> None:
-        record = {"split": self.split, "psnr": self.psnr, "ssim": self.ssim}
-        views = [asdict(view) for view in self.views]
-        text = json.dumps({**record, "views": views}, indent=2)
+        text = json.dumps(self.record(), indent=2, allow_nan=False)
         (folder / "scores.json").write_text(text, "utf-8")
 
     @classmethod
     def load(cls, folder: Path) -> Self:
-        record = json.loads((folder / "scores.json").read_text("utf-8"))
-        return cls(record["split"], tuple(ViewScore(**view) for view in record["views"]))
+        """Read what `save` wrote.
+
+        Raises:
+            CorruptError: the file is missing or damaged.
+        """
+        try:
+            record = json.loads((folder / "scores.json").read_text("utf-8"))
+            surface = record["surface"]
+            if surface is not None:
+                known = {name: surface[name] for name in SurfaceScore.__dataclass_fields__}
+                surface = SurfaceScore(**known)
+            views = tuple(ViewScore(**view) for view in record["views"])
+            return cls(record["split"], views, surface, record["surfels"], record["notes"])
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+            raise CorruptError(f"{folder / 'scores.json'}: {error}") from None

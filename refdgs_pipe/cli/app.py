@@ -206,6 +206,63 @@ def render_command(
     print(out)
 
 
+@app.command("eval")
+def eval_command(
+    workspace: Folder,
+    lpips_weights: Annotated[
+        Path | None,
+        typer.Option("--lpips-weights", help="safetensors of VGG16 and LPIPS", metavar="FILE"),
+    ] = None,
+    device: Device = "auto",
+    threads: Threads = 0,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Score the result against held-out photos and ground truth; make what is missing for it."""
+    from refdgs_pipe.cli.evaluation import describe, evaluate, open_for_scores
+
+    space = open_for_scores(workspace, lpips_weights)
+    verbosity = 0 if quiet else 1
+    record = evaluate(space, Options(None, frozenset(), device, threads, as_json, False, verbosity))
+    if as_json:
+        _print_json(record)
+    else:
+        print(describe(record))
+
+
+@app.command("bench")
+def bench_command(
+    scenes: Annotated[list[Path], typer.Argument(help="captures, as `run` takes them")],
+    out: Annotated[Path, typer.Option("--out", help="where all goes", metavar="DIR")],
+    recipes_wanted: Annotated[
+        str, typer.Option("--recipes", help="recipes with commas between", metavar="A,B")
+    ] = recipe.DEFAULT,
+    seeds: Annotated[
+        str, typer.Option("--seeds", help="seeds with commas between", metavar="0,1")
+    ] = "0",
+    assignments: Assignments = None,
+    device: Device = "auto",
+    threads: Threads = 0,
+    as_json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Score every scene with every recipe and seed; go on where it was stopped."""
+    from refdgs_pipe.cli import bench, bench_table
+
+    names, numbers = bench.listed(recipes_wanted, "--recipes"), bench.seeds_of(seeds)
+    out = spaces.absolute(out)
+    cells = bench.plan_grid(scenes, names, numbers, out, assignments or [])
+    options = Options(device=device, threads=threads, verbosity=0 if quiet else 2 if verbose else 1)
+    rows = bench.run_grid(cells, out, options)
+    print(bench.summary(rows), file=sys.stderr)
+    if as_json:
+        _print_json(bench_table.record(rows))
+    else:
+        print(out / bench_table.TABLE)
+    raise typer.Exit(next((row.exit_code for row in rows if row.status == "failed"), 0))
+
+
 @app.command("doctor")
 def doctor_command(as_json: Json = False) -> None:
     """Check this machine and the installation; one fix for each problem."""

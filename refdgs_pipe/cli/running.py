@@ -15,7 +15,7 @@ from refdgs_pipe.cli.signals import Stopper
 from refdgs_pipe.cli.workspace import Workspace
 from refdgs_pipe.errors import Cancelled
 from refdgs_pipe.pipeline.catalog import PUBLISHED
-from refdgs_pipe.pipeline.events import Event, Finished
+from refdgs_pipe.pipeline.events import Emit, Event, Finished
 from refdgs_pipe.pipeline.plan import Step
 from refdgs_pipe.pipeline.runner import Request, run
 
@@ -41,12 +41,8 @@ def make(workspace: Workspace, options: Options) -> int:
     Raises:
         RefdgsError: what went wrong, in words.
     """
-    if options.device != "auto":
-        choose_device(options.device)
     start = time.monotonic()
-    with workspace.pipeline.store.lock():
-        workspace.memory.write(workspace.root)
-        steps, made = _run_logged(workspace, options)
+    steps, made = bring_up_to(workspace, options)
     seconds = time.monotonic() - start
     record = _record(workspace, steps, made, seconds)
     if options.json:
@@ -56,8 +52,36 @@ def make(workspace: Workspace, options: Options) -> int:
     return DEGRADED if options.strict and record["status"] == "degraded" else 0
 
 
-def _run_logged(workspace: Workspace, options: Options) -> tuple[list[Step], dict[str, float]]:
-    """Run with the signals, the log and the console listening."""
+def bring_up_to(
+    workspace: Workspace,
+    options: Options,
+    *,
+    stopper: Stopper | None = None,
+    also: Emit = lambda _: None,
+) -> tuple[list[Step], dict[str, float]]:
+    """Run the pipeline. Return the stages asked for, and what was made in how many seconds.
+
+    Args:
+        stopper: that of a caller who makes several workspaces; without one signals stop this run.
+        also: hears every event besides the log and the console.
+
+    Raises:
+        RefdgsError: what went wrong, in words.
+    """
+    if options.device != "auto":
+        choose_device(options.device)
+    with workspace.pipeline.store.lock():
+        workspace.memory.write(workspace.root)
+        if stopper is not None:
+            return _run_logged(workspace, options, stopper, also)
+        with Stopper() as own:
+            return _run_logged(workspace, options, own, also)
+
+
+def _run_logged(
+    workspace: Workspace, options: Options, stopper: Stopper, also: Emit
+) -> tuple[list[Step], dict[str, float]]:
+    """Run with the log, the console and `also` listening."""
     log, made = RunLog(workspace.root), dict[str, float]()
     expected = {
         step.stage.name: step.expected_s
@@ -73,10 +97,11 @@ def _run_logged(workspace: Workspace, options: Options) -> tuple[list[Step], dic
     def listen(event: Event) -> None:
         log(event)
         console(event)
+        also(event)
         if isinstance(event, Finished):
             made[event.stage] = event.seconds
 
-    with Stopper() as stopper, console:
+    with console:
         request = Request(
             until=options.until,
             force=options.force,

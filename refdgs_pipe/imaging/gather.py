@@ -21,12 +21,14 @@ def gather_views(
     folder: Path,
     linear: bool,
     holdout: int,
+    from_first: bool = False,
     points: KnownPoints | None,
 ) -> Views:
     """One set of views from what became of each frame.
 
     Args:
         holdout: every so many-th photo becomes a test view; 0 for none.
+        from_first: whether the first photo is one, or that in the middle of the first gap.
 
     Raises:
         CaptureError: fewer than three are usable.
@@ -36,9 +38,10 @@ def gather_views(
     if len(items) < MIN_PHOTOS:
         raise CaptureError(_too_few(items, skipped))
     if holdout and len(items) >= MIN_FOR_HOLDOUT:
-        splits = ["test" if i % holdout == holdout // 2 else "train" for i in range(len(items))]
+        first = 0 if from_first else holdout // 2
+        splits = ["test" if i % holdout == first else "train" for i in range(len(items))]
         items = [replace(item, split=s) for item, s in zip(items, splits, strict=True)]
-    drawn = any(frame.mask is not None for frame in frames)
+    drawn = any(frame.mask is not None and frame.mask_kind == "drawn" for frame in frames)
     masked = sum(item.mask is not None for item in items)
     background: Background = "photo"
     if masked:

@@ -10,9 +10,12 @@ from numpy.typing import NDArray
 
 from refdgs_pipe.artifacts.capture import Frame
 from refdgs_pipe.errors import CaptureError
-from refdgs_pipe.files.images import read_photo
+from refdgs_pipe.files.images import Pixels, read_photo
 
 U8 = NDArray[np.uint8]
+
+NERO_DEPTH = 15.0  # world units at the white of a depth map
+NERO_BACKGROUND = 14.5  # world units; from here on there is no object
 
 
 def with_masks(frames: list[Frame], folder: Path | None) -> list[Frame]:
@@ -31,7 +34,8 @@ def with_masks(frames: list[Frame], folder: Path | None) -> list[Frame]:
         whole, flat = frame.source.lower(), frame.path.name.lower()
         keys = (whole, _stem(whole), flat, _stem(flat))
         mask = frame.mask or next((found[key] for key in keys if key in found), None)
-        out.append(replace(frame, mask=mask))
+        kind = frame.mask_kind if frame.mask else "drawn"
+        out.append(replace(frame, mask=mask, mask_kind=kind))
     return out
 
 
@@ -45,9 +49,7 @@ def read_mask(path: Path, *, inverted: bool = False) -> U8:
     Raises:
         CaptureError: not an image, or all black, or all white.
     """
-    pixels = read_photo(path, upright=False)
-    if pixels.dtype == np.uint16:
-        pixels = (pixels >> 8).astype(np.uint8)
+    pixels = _uint8(read_photo(path, upright=False))
     gray = pixels[..., :3].max(axis=2)
     if pixels.shape[2] == 4 and gray.min() == gray.max():
         gray = pixels[..., 3]
@@ -56,6 +58,59 @@ def read_mask(path: Path, *, inverted: bool = False) -> U8:
         mask = (mask * 255).astype(np.uint8)  # written as 0 and 1
     check_mask(mask, f"masks/{path.name}")
     return mask
+
+
+def read_alpha(path: Path) -> U8:
+    """An alpha channel in a file of its own as (H, W) uint8, white is object.
+
+    Raises:
+        CaptureError: not an image, or all black, or all white.
+    """
+    pixels = read_photo(path, upright=False)
+    alpha = _uint8(pixels)[..., :3].max(axis=2)
+    check_mask(alpha, path.name)
+    return np.ascontiguousarray(alpha)
+
+
+def read_depth_mask(path: Path) -> U8:
+    """The mask (H, W) uint8 that NeRO's depth gives: object nearer than 14.5 world units.
+
+    Raises:
+        CaptureError: not a 16-bit image, or all object, or none.
+    """
+    pixels = read_photo(path, upright=False)
+    if pixels.dtype != np.uint16:
+        raise CaptureError(f"{path.name}: expected a 16-bit PNG, found 8 bits. Copy it again")
+    depth = pixels[..., 0].astype(np.float32) / 65535 * NERO_DEPTH
+    mask = np.where(depth < NERO_BACKGROUND, 255, 0).astype(np.uint8)
+    check_mask(mask, f"the mask by {path.name}")
+    return mask
+
+
+def without_matte(rgb: Pixels, alpha: U8) -> Pixels:
+    """Straight colour of a picture over white or black, whose alpha came in a file of its own.
+
+    Where the picture is not plain white (or black) behind the object, it is taken to be straight.
+
+    Args:
+        rgb: (H, W, 3); alpha: (H, W).
+    """
+    full = float(np.iinfo(rgb.dtype).max)
+    color, a = rgb.astype(np.float32) / full, alpha[..., None].astype(np.float32) / 255
+    behind = color[alpha == 0]
+    if len(behind) and (behind == 1).all():
+        matte = 1.0
+    elif len(behind) and (behind == 0).all() and (color <= a + 1.5 / 255).all():
+        matte = 0.0
+    else:
+        return rgb
+    straight = (color - (1 - a) * matte) / np.maximum(a, 1 / 255)
+    levels = (np.clip(np.where(a > 0, straight, matte), 0, 1) * full).round()
+    return levels.astype(np.uint16) if rgb.dtype == np.uint16 else levels.astype(np.uint8)
+
+
+def _uint8(pixels: Pixels) -> U8:
+    return (pixels >> 8).astype(np.uint8) if pixels.dtype == np.uint16 else pixels.astype(np.uint8)
 
 
 def check_mask(mask: U8, name: str) -> None:

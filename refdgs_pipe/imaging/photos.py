@@ -9,13 +9,21 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from refdgs_pipe.artifacts.capture import Frame
+from refdgs_pipe.artifacts.capture import Frame, MaskKind
 from refdgs_pipe.artifacts.views import Exif, KnownPose, Skipped, View
 from refdgs_pipe.camera import Lens
 from refdgs_pipe.color import srgb_from_linear
 from refdgs_pipe.errors import CaptureError
 from refdgs_pipe.files.images import Pixels, orient, read_header, read_photo, sniff, write_png
-from refdgs_pipe.imaging.masks import U8, are_inverted, check_mask, read_mask
+from refdgs_pipe.imaging.masks import (
+    U8,
+    are_inverted,
+    check_mask,
+    read_alpha,
+    read_depth_mask,
+    read_mask,
+    without_matte,
+)
 from refdgs_pipe.imaging.metadata import read_exif
 from refdgs_pipe.imaging.quality import sharpness_and_exposure
 from refdgs_pipe.imaging.raw import Development, develop, is_raw, plan_development
@@ -100,8 +108,11 @@ def prepare_photo(frame: Frame, folder: Path, plan: Plan) -> View:
     exif = read_exif(frame.path)
     pixels, orientation = _read(frame, exif, plan)
     mask = _mask(frame, pixels, orientation, plan)
+    if mask is not None and frame.mask_kind == "alpha" and not _has_alpha(pixels):
+        pixels = without_matte(pixels[..., :3], mask)
     stored = (pixels.shape[1], pixels.shape[0])
-    alpha = mask if frame.mask is None else None
+    is_drawn = frame.mask is not None and frame.mask_kind == "drawn"
+    alpha = None if is_drawn else mask
     pixels = _reduce(pixels[..., :3], plan.max_side, alpha=alpha)
     height, width = pixels.shape[:2]
     write_png(folder / "images" / f"{frame.name}.png", pixels)
@@ -140,7 +151,7 @@ def _read(frame: Frame, exif: Exif, plan: Plan) -> tuple[Pixels, int]:
 def _mask(frame: Frame, pixels: Pixels, orientation: int, plan: Plan) -> U8 | None:
     """The mask at the photo's size, from its file or from the alpha channel."""
     size = (pixels.shape[1], pixels.shape[0])
-    if frame.mask is None:
+    if frame.mask is None or (frame.mask_kind == "alpha" and _has_alpha(pixels)):
         if pixels.shape[2] == 3:
             return None
         alpha = (pixels[..., 3] >> 8) if pixels.dtype == np.uint16 else pixels[..., 3]
@@ -149,16 +160,27 @@ def _mask(frame: Frame, pixels: Pixels, orientation: int, plan: Plan) -> U8 | No
         mask = alpha.astype(np.uint8)
         check_mask(mask, f"the alpha channel of {frame.source}")
         return mask
-    mask = read_mask(frame.mask, inverted=plan.inverted_masks)
+    mask = _read_mask(frame.mask, frame.mask_kind, inverted=plan.inverted_masks)
     if orientation >= 5 and (mask.shape[0], mask.shape[1]) == size:
         mask = orient(mask, orientation).astype(np.uint8)  # drawn on the pixels as stored
     if abs(mask.shape[1] / mask.shape[0] - size[0] / size[1]) > 0.01 * size[0] / size[1]:
         raise CaptureError(
-            f"masks/{frame.mask.name} is {mask.shape[1]} x {mask.shape[0]} but its photo is "
-            f"{size[0]} x {size[1]}: their shapes must agree"
+            f"{frame.mask.parent.name}/{frame.mask.name} is {mask.shape[1]} x {mask.shape[0]} "
+            f"but its photo is {size[0]} x {size[1]}: their shapes must agree"
         )
     resized = cv2.resize(mask, size, interpolation=cv2.INTER_LINEAR)
     return np.asarray(resized, np.uint8)
+
+
+def _has_alpha(pixels: Pixels) -> bool:
+    """Whether something is transparent: then the alpha in a file of its own only repeats it."""
+    return pixels.shape[2] == 4 and bool(pixels[..., 3].min() < np.iinfo(pixels.dtype).max)
+
+
+def _read_mask(path: Path, kind: MaskKind, *, inverted: bool) -> U8:
+    if kind == "alpha":
+        return read_alpha(path)
+    return read_depth_mask(path) if kind == "depth" else read_mask(path, inverted=inverted)
 
 
 def _reduce(pixels: Pixels, max_side: int, *, alpha: U8 | None) -> Pixels:
@@ -198,7 +220,7 @@ def _has_header(path: Path) -> bool:
 
 def _readable_masks(frames: list[Frame]) -> Iterator[U8]:
     for frame in frames:
-        if frame.mask is not None:
+        if frame.mask is not None and frame.mask_kind == "drawn":
             try:
                 yield read_mask(frame.mask)
             except CaptureError:

@@ -15,10 +15,15 @@ from refdgs_pipe.errors import RefdgsError, WriteError
 
 
 def write_json(path: Path, record: Any) -> None:
+    """Replace a small file. Readers see the old record or the new one."""
+    write_text(path, json.dumps(record, indent=1, ensure_ascii=False) + "\n")
+
+
+def write_text(path: Path, text: str) -> None:
     """Replace a small file. Readers see the old text or the new one."""
     temporary = path.with_name(f".{path.name}-{os.getpid()}")
     try:
-        temporary.write_text(json.dumps(record, indent=1, ensure_ascii=False) + "\n", "utf-8")
+        temporary.write_text(text, "utf-8")
         sync(temporary)
         temporary.replace(path)
     except OSError:

@@ -13,11 +13,14 @@ import pytest
 import torch
 from torch import Tensor
 
+from refdgs_pipe import ops
 from refdgs_pipe.ops import (
+    Pinhole,
     image_loss,
     mlp,
     reference_image_loss,
     reference_mlp,
+    reference_shade,
     reference_sph_mip,
     sph_mip,
 )
@@ -142,4 +145,43 @@ def test_mlp(count: int) -> None:
         f"MLP 10-64-64-64-3, {count} points",
         with_backward(loss_of(mlp), *leaves),
         with_backward(loss_of(reference_mlp.mlp), *leaves),
+    )
+
+
+@pytest.mark.parametrize("size", [400, 800])
+def test_shading(size: int) -> None:
+    """Gather, composite and normal agreement: everything around the lookup and the network."""
+    g = torch.Generator().manual_seed(0)
+    camera = Pinhole(torch.eye(4), 1.2 * size, 1.2 * size, size / 2, size / 2, size, size)
+    side = torch.linspace(-1, 1, size)
+    disc = (side[:, None] ** 2 + side[None] ** 2) < 0.64  # half of the image
+    planes = torch.rand(9, size, size, generator=g) * disc
+    planes[4] = disc * 0.999
+    planes[8] *= 3
+    near = torch.rand(4, size, size, generator=g)
+    pixels = disc.flatten().nonzero().flatten()
+    backdrop = torch.rand(3, generator=g)
+
+    def loss_of(of: object) -> Callable[..., Tensor]:
+        def run(planes: Tensor, near: Tensor) -> Tensor:
+            images = planes.permute(1, 2, 0)
+            features, alpha, normal = images[..., :4], planes[4], images[..., 5:8]
+            carried, reflected, cosine, found = of.shading_inputs(  # type: ignore[attr-defined]
+                features, alpha, normal, near.permute(1, 2, 0), pixels, camera
+            )
+            radiance = (reflected + found[:, :3]) * cosine[:, None]
+            image = of.composite(  # type: ignore[attr-defined]
+                carried[:, :3], radiance, pixels, alpha, alpha, backdrop, None
+            )
+            agreement = of.normal_agreement(normal, planes[8], alpha, camera)  # type: ignore[attr-defined]
+            out: Tensor = image.mean() + agreement
+            return out
+
+        return run
+
+    leaves = (planes.requires_grad_(), near.requires_grad_())
+    compare(
+        f"shading around the network {size}x{size}",
+        with_backward(loss_of(ops), *leaves),
+        with_backward(loss_of(reference_shade), *leaves),
     )

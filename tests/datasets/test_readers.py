@@ -88,11 +88,14 @@ def test_blender_gives_both_splits_their_poses_and_a_removed_background(
     np.testing.assert_array_equal(model.up, [0, 0, 1])
 
 
-def test_blender_lists_only_the_files_it_names(root: Path) -> None:
+def test_blender_lists_only_the_files_it_names_and_their_truth(root: Path) -> None:
     write_blender(root)
+    (root / "test" / "r_0_albedo.png").write_bytes(b"")
     names = [name for name, _ in Capture((root,)).files()]
     assert "train/r_0.png" in names and "transforms_test.json" in names
-    assert len(names) == 14 and not any("normal" in name for name in names)
+    truth = [name for name in names if "normal" in name]
+    assert truth == ["test/r_0_normal.png", "train/r_0_normal.png"]
+    assert len(names) == 14 + len(truth)
 
 
 def test_known_lenses_are_scaled_with_their_photos(stages: Stages, root: Path) -> None:

@@ -73,6 +73,16 @@ def test_doubtful_pixels_are_dropped() -> None:
     assert used() - 9 <= used(depth=depth) < used()
 
 
+def test_a_view_of_a_few_pixels_is_passed_over() -> None:
+    view = Scene((Sphere((0.0, 0.0, 0.0), 0.9, waves),), gradient_sky).surface_map(orbit(3)[1])
+    rows, columns = np.indices(view.depth.shape)
+    middle = tuple(side // 2 for side in view.depth.shape)
+    for drop in range(4):  # whichever pixels are sampled, most of these patches miss them
+        few = (abs(rows - middle[0] - drop) <= 1) & (abs(columns - middle[1] - drop) <= 1)
+        volume = Volume(BALL, voxel=0.02)
+        assert 0 <= volume.integrate(replace(view, depth=view.depth * few)) <= 1
+
+
 def test_nothing_to_fuse_is_said_in_words() -> None:
     volume = Volume(BALL, voxel=0.02)
     with pytest.raises(MeshError, match="no view shows a surface inside the object ball"):

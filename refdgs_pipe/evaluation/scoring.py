@@ -1,0 +1,240 @@
+"""A finished field and its mesh against photos it has not seen, and against ground truth."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from refdgs_pipe.artifacts.mesh import TriangleMesh
+from refdgs_pipe.artifacts.photos import Photo, load_photo
+from refdgs_pipe.artifacts.scores import VIEW_FIGURES, Scores, SurfaceScore, ViewScore
+from refdgs_pipe.artifacts.sparse_model import SparseModel
+from refdgs_pipe.artifacts.surface_map import SurfaceMap
+from refdgs_pipe.artifacts.truth import scene_truth_files, view_truth_files
+from refdgs_pipe.artifacts.views import Views
+from refdgs_pipe.camera import Camera
+from refdgs_pipe.errors import InputError
+from refdgs_pipe.evaluation.surface import score_surface
+from refdgs_pipe.evaluation.truth import (
+    ViewTruth,
+    read_true_mesh,
+    read_true_points,
+    read_view_truth,
+)
+from refdgs_pipe.metrics import (
+    depth_error,
+    mask_iou,
+    normal_error_deg,
+    normal_error_over_white_deg,
+    psnr,
+    psnr_per_channel,
+)
+from refdgs_pipe.ops import ssim_map
+
+F32 = NDArray[np.float32]
+Track = Callable[[list[Camera]], Iterable[Camera]]
+Distance = Callable[[F32, F32], float]
+_SOURCES = {
+    "normal_mae_deg": "NAME_normal.png",
+    "normal_mae_foreground_deg": "NAME_normal.png",
+    "depth_mae": "NAME_depth.npz",
+    "alpha_iou": "alpha channel or NAME_alpha.png",
+}
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """How the result under test is drawn.
+
+    Args:
+        picture: the (H, W, 3) sRGB picture in [0, 1] over white that a camera takes.
+        maps: what it sees of the surface.
+    """
+
+    picture: Callable[[Camera], F32]
+    maps: Callable[[Camera], SurfaceMap]
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What is scored against what.
+
+    Args:
+        root: the folder that the sources of the views are relative to; truth lies in it.
+        mesh: in the world frame of `model`.
+    """
+
+    views: Views
+    model: SparseModel
+    mesh: TriangleMesh
+    root: Path
+
+    @property
+    def no_truth(self) -> str | None:
+        """Why ground truth cannot be compared with, whatever there is; None if it can.
+
+        Truth stands in the data set's own frame, which is the world only where its poses are kept.
+        """
+        posed = self.views.has_known_poses
+        if posed and np.allclose(self.model.sfm_from_world, np.eye(4)):
+            return None
+        return "the capture came without poses: nothing ties its world to any ground truth"
+
+    @property
+    def no_true_maps(self) -> str | None:
+        """Why maps of single photos cannot be compared with; None if they can."""
+        if self.no_truth is None and not all(k.is_pinhole for k in self.model.lenses.values()):
+            return "the photos' lens distortion is removed; ground truth of photos as taken is not"
+        return self.no_truth
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """How views are compared.
+
+    Args:
+        longest: the longer side of what is compared is at most this, in pixels.
+        lpips: the distance of two (H, W, 3) pictures in [0, 1], or None.
+        track: wraps the cameras, to report progress.
+    """
+
+    longest: int
+    lpips: Distance | None = None
+    track: Track = field(default=lambda cameras: cameras)
+
+
+def score(subject: Subject, drawing: Drawing, protocol: Protocol) -> Scores:
+    """Figures of the held-out views (of all, if none was held out) and of the surface.
+
+    Raises:
+        CorruptError: a photo or a file of ground truth is damaged.
+        InputError: ground truth does not fit its photo.
+    """
+    cameras = list(subject.model.cameras)
+    held_out = [camera for camera in cameras if camera.split == "test"]
+    views = [
+        _score_view(subject, camera, drawing, protocol)
+        for camera in protocol.track(held_out or cameras)
+    ]
+    surface, why = _score_surface(subject, protocol.longest)
+    notes = _notes(views, subject.no_true_maps, lpips=protocol.lpips is not None)
+    if why is not None:
+        notes["surface"] = why
+    elif surface is not None and surface.chamfer is None:
+        notes["chamfer"] = "no gt_mesh.ply in the data set, only points"
+    return Scores("test" if held_out else "train", tuple(views), surface, notes=notes)
+
+
+def _score_view(
+    subject: Subject, camera: Camera, drawing: Drawing, protocol: Protocol
+) -> ViewScore:
+    scale = camera.fitted(protocol.longest).width / camera.width
+    photo = load_photo(subject.views, subject.model, camera, scale=scale)
+    image, target = drawing.picture(photo.camera), _over_white(photo)
+    keep = photo.valid[..., None]
+    image, target = np.where(keep, image, 0), np.where(keep, target, 0)
+    similarity = ssim_map(_tensor(image), _tensor(target)).numpy()
+    seen, wanted = image[photo.valid], target[photo.valid]
+    return ViewScore(
+        camera.name,
+        psnr=psnr(seen, wanted),
+        psnr_per_channel=psnr_per_channel(seen, wanted),
+        ssim=float(similarity[photo.valid].mean()),
+        lpips=None if protocol.lpips is None else protocol.lpips(image, target),
+        **_true_figures(subject, camera, drawing, protocol.longest),
+    )
+
+
+def _true_figures(
+    subject: Subject, camera: Camera, drawing: Drawing, longest: int
+) -> dict[str, float]:
+    """What ground truth says of a view, at the truth's own size; coverage alone may be reduced."""
+    if subject.no_true_maps:
+        return {}
+    source = subject.root / subject.views[camera.name].source
+    if not source.is_file():
+        return {}
+    truth = read_view_truth(view_truth_files(source))
+    if truth.size is None:
+        return {}
+    width, height = truth.size
+    if abs(width * camera.height - height * camera.width) > max(width, height):
+        raise InputError(
+            f"{source}: its ground truth is {width} x {height} pixels, the view "
+            f"{camera.width} x {camera.height}. Give maps of the photo's shape"
+        )
+    sized = camera.resized(width, height)
+    if truth.normal is None and truth.depth is None and truth.alpha is not None:
+        sized = sized.fitted(longest)
+        size = (sized.width, sized.height)
+        alpha = cv2.resize(truth.alpha, size, interpolation=cv2.INTER_AREA)
+        truth = replace(truth, alpha=np.asarray(alpha, np.float32))
+    return compare_maps(drawing.maps(sized), truth)
+
+
+def compare_maps(maps: SurfaceMap, truth: ViewTruth) -> dict[str, float]:
+    """The figures of ViewScore that the truth allows, from maps of one size with it."""
+    figures = {}
+    if truth.normal is not None and truth.foreground is not None:
+        over_white = normal_error_over_white_deg(maps.normal, maps.alpha, truth.normal)
+        figures["normal_mae_deg"] = over_white
+        if truth.foreground.any():
+            there = truth.foreground
+            figures["normal_mae_foreground_deg"] = normal_error_deg(
+                maps.normal, truth.normal, there
+            )
+    if truth.depth is not None:
+        both = (truth.depth > 0) & (maps.depth > 0) & (maps.alpha >= 0.5)
+        if both.any():
+            figures["depth_mae"] = depth_error(maps.depth, truth.depth, both)
+    if truth.alpha is not None:
+        figures["alpha_iou"] = mask_iou(maps.alpha >= 0.5, truth.alpha >= 0.5)
+    return figures
+
+
+def _score_surface(subject: Subject, longest: int) -> tuple[SurfaceScore | None, str | None]:
+    """The surface's score, or why there is none."""
+    if subject.no_truth:
+        return None, subject.no_truth
+    files = scene_truth_files(subject.root)
+    if files.mesh is None and files.points is None:
+        return None, "no gt_mesh.ply in the data set"
+    cameras = [c for c in subject.model.cameras if c.split == "train"] or subject.model.cameras
+    found = score_surface(
+        subject.mesh,
+        [camera.fitted(longest) for camera in cameras],
+        None if files.mesh is None else read_true_mesh(files.mesh),
+        None if files.points is None else read_true_points(files.points),
+    )
+    return found, None if found else "no training camera sees the mesh, or none the true surface"
+
+
+def _notes(views: list[ViewScore], no_truth: str | None, *, lpips: bool) -> dict[str, str]:
+    """Figure -> why no view, or not every view, has it."""
+    notes = {}
+    for figure in VIEW_FIGURES:
+        known = sum(getattr(view, figure) is not None for view in views)
+        if known == len(views):
+            continue
+        if figure == "lpips":
+            notes[figure] = "no weights given (--lpips-weights)" if not lpips else "no view"
+        elif known:
+            notes[figure] = f"{known} of {len(views)} views have a {_SOURCES[figure]}"
+        else:
+            notes[figure] = no_truth or f"no {_SOURCES[figure]} beside the photos"
+    return notes
+
+
+def _over_white(photo: Photo) -> F32:
+    if photo.mask is None:
+        return photo.rgb
+    m = photo.mask[..., None]
+    return np.asarray(photo.rgb * m + (1 - m), np.float32)
+
+
+def _tensor(image: F32) -> torch.Tensor:
+    return torch.from_numpy(np.ascontiguousarray(image, np.float32))
