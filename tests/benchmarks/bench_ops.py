@@ -155,31 +155,31 @@ def test_shading(size: int) -> None:
     camera = Pinhole(torch.eye(4), 1.2 * size, 1.2 * size, size / 2, size / 2, size, size)
     side = torch.linspace(-1, 1, size)
     disc = (side[:, None] ** 2 + side[None] ** 2) < 0.64  # half of the image
-    planes = torch.rand(9, size, size, generator=g) * disc
-    planes[4] = disc * 0.999
-    planes[8] *= 3
-    near = torch.rand(4, size, size, generator=g)
+    maps = [torch.rand(c, size, size, generator=g) * disc for c in (4, 3, 4)]
+    images = [m.permute(1, 2, 0) for m in maps]  # plane by plane, as the rasteriser leaves them
+    alpha = disc * 0.999
+    depth = 3 * alpha + 0.1 * torch.rand(size, size, generator=g) * disc
     pixels = disc.flatten().nonzero().flatten()
     backdrop = torch.rand(3, generator=g)
 
     def loss_of(of: object) -> Callable[..., Tensor]:
-        def run(planes: Tensor, near: Tensor) -> Tensor:
-            images = planes.permute(1, 2, 0)
-            features, alpha, normal = images[..., :4], planes[4], images[..., 5:8]
+        def run(
+            features: Tensor, normal: Tensor, near: Tensor, alpha: Tensor, depth: Tensor
+        ) -> Tensor:
             carried, reflected, cosine, found = of.shading_inputs(  # type: ignore[attr-defined]
-                features, alpha, normal, near.permute(1, 2, 0), pixels, camera
+                features, alpha, normal, near, pixels, camera
             )
             radiance = (reflected + found[:, :3]) * cosine[:, None]
             image = of.composite(  # type: ignore[attr-defined]
                 carried[:, :3], radiance, pixels, alpha, alpha, backdrop, None
             )
-            agreement = of.normal_agreement(normal, planes[8], alpha, camera)  # type: ignore[attr-defined]
+            agreement = of.normal_agreement(normal, depth, alpha, camera)  # type: ignore[attr-defined]
             out: Tensor = image.mean() + agreement
             return out
 
         return run
 
-    leaves = (planes.requires_grad_(), near.requires_grad_())
+    leaves = tuple(t.requires_grad_() for t in (*images, alpha, depth))
     compare(
         f"shading around the network {size}x{size}",
         with_backward(loss_of(ops), *leaves),
