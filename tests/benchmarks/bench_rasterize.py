@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 import torch
 
-from refdgs_pipe.ops import Pinhole, Surfels, rasterize
+from refdgs_pipe.ops import Maps, Pinhole, Surfels, rasterize
 from refdgs_pipe.ops.native import isa, keep_freed_memory
 
 CASES = ((400, 20_000), (800, 50_000), (800, 200_000))
@@ -67,29 +67,31 @@ def camera(size: int) -> Pinhole:
 def ours(size: int, n: int, threads: int = 1) -> tuple[float, float]:
     """Median core-ms of forward and backward through autograd, from surfels to planes and back.
 
-    The loss is put on the kernel's planes themselves: picking, weighting and joining the maps is
-    torch's work, not the rasteriser's.
+    Gradients are put on the maps themselves: weighting and summing them is torch's work, not the
+    rasteriser's.
     """
     surfels, features = sphere_scene(n)
     leaves = [t.requires_grad_() for t in (*vars(surfels).values(), features)]
     view = camera(size)
     g = torch.Generator().manual_seed(0)
     times: list[tuple[float, float]] = []
-    weights: torch.Tensor | None = None
     for _ in range(REPEATS + 1):  # the first warms up
-        planes: list[torch.Tensor] = []
+        drawn_maps: list[Maps] = []
 
-        def forward(planes: list[torch.Tensor] = planes) -> None:
+        def forward(drawn_maps: list[Maps] = drawn_maps) -> None:
             maps = rasterize(surfels, features, view, extra="depth", normals=True, threads=threads)
-            assert maps.alpha._base is not None
-            planes.append(maps.alpha._base)
+            drawn_maps.append(maps)
 
         drawn = core_ms(forward)
-        if weights is None:
-            weights = torch.randn(planes[0].shape, generator=g) / size**2
+        maps = drawn_maps[0]
+        assert maps.normal is not None and maps.depth is not None
+        images = [maps.features, maps.normal, maps.alpha, maps.depth]
+        weights = [torch.randn(i.permute(2, 0, 1).shape, generator=g) for i in images[:2]]
+        pulls = [w.permute(1, 2, 0) / size**2 for w in weights]
+        pulls += [torch.randn(i.shape, generator=g) / size**2 for i in images[2:]]
         for leaf in leaves:
             leaf.grad = None
-        replayed = core_ms(partial(planes[0].backward, weights))
+        replayed = core_ms(partial(torch.autograd.backward, images, pulls))
         times.append((drawn, replayed))
     forwards, backwards = zip(*times[1:], strict=True)
     return statistics.median(forwards), statistics.median(backwards)
