@@ -1,7 +1,5 @@
 """Gathering, compositing and normal agreement, against their definition and differences."""
 
-from collections.abc import Callable
-
 import pytest
 import torch
 from torch import Tensor
@@ -12,6 +10,7 @@ from refdgs_pipe.ops import Pinhole
 from refdgs_pipe.ops import reference_shade as reference
 
 H, W = 9, 12
+STEPS = {"eps": 1e-6, "atol": 1e-6, "rtol": 1e-5}
 
 
 def camera(dtype: torch.dtype = torch.float64) -> Pinhole:
@@ -100,10 +99,6 @@ def test_normal_agreement_equals_the_definition() -> None:
         assert torch.allclose(found, wanted, rtol=1e-10, atol=1e-13)
 
 
-def differences(run: Callable[..., Tensor], inputs: list[Tensor]) -> None:
-    assert torch.autograd.gradcheck(run, inputs, eps=1e-6, atol=1e-6, rtol=1e-5)
-
-
 def test_gradients_equal_finite_differences() -> None:
     m = maps(5)
     pixels, view = covered(m["alpha"]), camera()
@@ -116,13 +111,15 @@ def test_gradients_equal_finite_differences() -> None:
         parts = ops.shading_inputs(features, alpha, normal, near, pixels, view)
         return torch.cat([part.flatten() for part in parts if part is not None])
 
-    differences(gather, [m["features"], solid, m["normal"], m["near"]])
+    assert torch.autograd.gradcheck(gather, [m["features"], solid, m["normal"], m["near"]], **STEPS)
 
     def compose(features: Tensor, radiance: Tensor, alpha: Tensor, behind: Tensor) -> Tensor:
         rows = [t.reshape(H * W, -1)[pixels][:, :3] for t in (features, radiance)]
         return ops.composite(*rows, pixels, 0.8 * alpha, alpha, backdrop, behind)
 
-    differences(compose, [dark["features"], dark["radiance"], solid, m["behind"]])
+    assert torch.autograd.gradcheck(
+        compose, [dark["features"], dark["radiance"], solid, m["behind"]], **STEPS
+    )
 
 
 def test_a_clipped_highlight_can_only_be_pulled_down() -> None:
