@@ -20,9 +20,9 @@ from refdgs_pipe.ops.native import keep_freed_memory
 from refdgs_pipe.ops.rasterize import Extra
 from refdgs_pipe.training import losses
 from refdgs_pipe.training.checkpoint import read_checkpoint, write_checkpoint
+from refdgs_pipe.training.coverage import coverage
 from refdgs_pipe.training.field import TrainableField
 from refdgs_pipe.training.photos import TrainingPhoto, composited, load_training_photos, shrunk
-from refdgs_pipe.training.scoring import coverage
 from refdgs_pipe.training.settings import TrainParams
 from refdgs_pipe.training.shading import Picture, draw
 
@@ -165,11 +165,10 @@ class Trainer:
         behind = whole = 0.0
         for start, end in itertools.pairwise(edge for edge in edges if edge <= 1):
             pixels = p.coarse**2 if start < p.coarse_until else 1.0
-            cost = PIXEL_COST * pixels
-            if p.reflection:
-                cost += REFLECT_COST * pixels * (start >= self.field.reflect_from)
+            cost = SURFEL_COST + PIXEL_COST * pixels
+            if p.reflection and start >= self.field.reflect_from:
+                cost += REFLECT_COST * pixels
                 cost += LOCAL_COST * pixels * (p.local == "dual" and start >= p.local_from)
-            cost += SURFEL_COST
             whole += cost * (end - start)
             behind += cost * max(0.0, min(end, now) - start)
         return behind / whole

@@ -6,6 +6,7 @@ import torch
 from scenes import Box, Scene, Sphere, constant, gradient_sky, orbit, waves
 
 from refdgs_pipe.artifacts.sparse_model import Ball
+from refdgs_pipe.camera import Camera
 from refdgs_pipe.training import initial
 from refdgs_pipe.training.carving import boundary, empty_cells
 
@@ -27,7 +28,7 @@ def open_box() -> Scene:
 
 def hull_of(
     scene: Scene, pictures: str = "true"
-) -> tuple[initial.Hull, list[torch.Tensor], list[torch.Tensor], list]:  # type: ignore[type-arg]
+) -> tuple[initial.Hull, list[torch.Tensor], list[torch.Tensor], list[Camera]]:
     """The scene's visual hull and its photos; "noise": photos that agree on nothing."""
     cameras = [c for c in orbit(90, size=128, focal=170) if c.center[2] > -1]
     maps = [scene.surface_map(camera) for camera in cameras]
