@@ -28,7 +28,7 @@ def shading_inputs(
     near: Tensor | None,
     pixels: Tensor,
     camera: Pinhole,
-) -> tuple[Tensor, Tensor, Tensor, Tensor | None]:
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor | None]:
     """Same meaning as `ops.shading_inputs`."""
 
     def at(image: Tensor) -> Tensor:
@@ -41,7 +41,9 @@ def shading_inputs(
     rays = at(rays / rays.norm(dim=-1, keepdim=True)) @ pose
     towards = -(n * rays).sum(-1, keepdim=True)
     reflected = normalized(rays + 2 * towards * n)
-    return carried, reflected, towards[:, 0].clamp(0, 1), None if near is None else at(near)
+    cosine = towards[:, 0].clamp(0, 1)
+    gathered = None if near is None else at(near)
+    return carried[:, :3], carried[:, 3], reflected, cosine, gathered
 
 
 def srgb_of(linear: Tensor) -> Tensor:

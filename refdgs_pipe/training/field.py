@@ -58,7 +58,11 @@ class TrainableField:
         self.shader_optimizer: list[torch.optim.Optimizer] = []
         if params.reflection:
             self.shader = Shader(
-                params.environment_height, params.local, params.mixing, params.physical
+                params.environment_height,
+                params.local,
+                params.mixing,
+                params.physical,
+                half=params.bfloat16,
             )
             groups = [
                 {"params": [self.shader.environment], "lr": params.rate_environment},
