@@ -170,11 +170,11 @@ template <class S> void bind_shade(nb::module_& m, const std::string& type) {
                   at<S>(grads[0]), at<S>(grads[1]), at<S>(grads[2]));
   });
   // images: normal, depth, alpha; grads: of these three, or all 0.
-  m.def(("normal_agreement_" + type).c_str(), [](Size size, Numbers numbers, Images images, double scale, int threads,
-                                                 Addresses grads) {
+  m.def(("normal_agreement_" + type).c_str(), [](Size size, Numbers numbers, Images images, double scale, double edge,
+                                                 int threads, Addresses grads) {
     nb::gil_scoped_release release;
     return normal_agreement(Agreement<S>{view_of<S>(size, numbers), image<S>(images[0]), image<S>(images[1]),
-                                         image<S>(images[2]), S(scale), at<S>(grads[0]), at<S>(grads[1]),
+                                         image<S>(images[2]), S(scale), S(edge), at<S>(grads[0]), at<S>(grads[1]),
                                          at<S>(grads[2])},
                             threads);
   });

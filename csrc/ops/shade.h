@@ -60,11 +60,12 @@ template <class S> void composite(const Composite<S>& in, int threads, S* image)
 template <class S>
 void composite_bwd(const Composite<S>& in, Image<S> v_image, int threads, S* v_linear, S* v_object_alpha, S* v_alpha);
 
-// Sum over pixels with four neighbours of alpha (1 - n . n_depth); gradients of scale times it, by plane.
+// Sum of alpha (1 - n . n_depth) over pixels with four neighbours that lie on one surface: the depth's second
+// differences are below `edge` pixel footprints. Gradients of scale times it, by plane.
 template <class S> struct Agreement {
   View<S> view;
   Image<S> normal, depth, alpha;  // sums of w n, of w z, of w
-  S scale;
+  S scale, edge;
   S *v_normal, *v_depth, *v_alpha;  // all null if not wanted
 };
 template <class S> double normal_agreement(const Agreement<S>& in, int threads);

@@ -262,9 +262,12 @@ template <class S> double agreement_row(const Agreement<S>& in, int64_t y, bool 
     V3<S> parts[3] = {};
     if (y > 0 && y < view.height - 1) {
       const auto inner = less(vf{}, x) & less(x, all(S(width - 1)));
-      const vf weight = keep(inner, along(in.alpha, y, x0, width, 0));
+      vf weight = keep(inner, along(in.alpha, y, x0, width, 0));
       if (any_lane(less(vf{}, weight) | less(weight, vf{}))) {
-        const V3<S> down = point(y + 1, x, 0) - point(y - 1, x, 0), right = point(y, x, 1) - point(y, x, -1);
+        const V3<S> above = point(y - 1, x, 0), below = point(y + 1, x, 0), left = point(y, x, -1);
+        const V3<S> here = point(y, x, 0), next = point(y, x, 1), down = below - above, right = next - left;
+        const vf bend = max_of(abs_of(above.z + below.z - 2 * here.z), abs_of(left.z + next.z - 2 * here.z));
+        weight = keep(less(bend * view.fx, in.edge * here.z), weight);
         const UnitVector<S> depth_normal(cross(down, right), S(1e-24));
         const UnitVector<S> normal({along(in.normal, y, x0, width, 0), along(in.normal, y, x0, width, 1),
                                     along(in.normal, y, x0, width, 2)}, S(1e-16));

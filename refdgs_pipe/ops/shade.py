@@ -1,5 +1,6 @@
 """Deferred shading around the shader's network: gather, composite, and normals against depth."""
 
+import math
 from typing import Any
 
 import _refdgs_native as native
@@ -95,9 +96,18 @@ def composite(
 
 
 def normal_agreement(
-    normal: Tensor, depth: Tensor, alpha: Tensor, camera: Pinhole, *, threads: int | None = None
+    normal: Tensor,
+    depth: Tensor,
+    alpha: Tensor,
+    camera: Pinhole,
+    *,
+    edge: float = math.inf,
+    threads: int | None = None,
 ) -> Tensor:
     """Mean of alpha (1 - n . n_depth) over pixels with four neighbours; a scalar.
+
+    Pixels at an edge of the depth count as 0: there a surface ends in front of another, and
+    agreement would close the gap between the two.
 
     n_depth: of the depth map, by central differences (2D Gaussian Splatting, section 5). Gradients
     reach normal, depth and alpha through the depth's mean; alpha as a weight is constant.
@@ -105,6 +115,7 @@ def normal_agreement(
     Args:
         normal: (H, W, 3) sums of w n, world; depth: (H, W) sums of w z; alpha: (H, W) sums of w.
         camera: constant.
+        edge: second differences of the depth above this are an edge, in pixel footprints z / fx.
         threads: default torch's; the result does not depend on it.
 
     Raises:
@@ -116,7 +127,7 @@ def normal_agreement(
         raise ShapeError(f"image of {camera.width}x{camera.height}: no pixel has four neighbours")
     count = threads or torch.get_num_threads()
     loss: Tensor = _NormalAgreement.apply(  # type: ignore[no-untyped-call]
-        normal, depth, alpha, camera, count
+        normal, depth, alpha, camera, edge, count
     )
     return loss
 
@@ -257,7 +268,13 @@ class _NormalAgreement(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, normal: Tensor, depth: Tensor, alpha: Tensor, camera: Pinhole, threads: int
+        ctx: Any,
+        normal: Tensor,
+        depth: Tensor,
+        alpha: Tensor,
+        camera: Pinhole,
+        edge: float,
+        threads: int,
     ) -> Tensor:
         height, width = alpha.shape
         scale = 1.0 / ((height - 2) * (width - 2))
@@ -269,6 +286,7 @@ class _NormalAgreement(torch.autograd.Function):
             _numbers(camera),
             [_image(t) for t in (normal, depth, alpha)],
             scale,
+            edge,
             threads,
             [t.data_ptr() for t in grads] or [0] * 3,
         )
@@ -279,4 +297,4 @@ class _NormalAgreement(torch.autograd.Function):
     def backward(ctx: Any, *v: Tensor) -> tuple[Tensor | None, ...]:
         scale = float(v[0])
         v_normal, v_depth, v_alpha = (g * scale for g in ctx.grads)
-        return v_normal.permute(1, 2, 0), v_depth[0], v_alpha[0], None, None
+        return v_normal.permute(1, 2, 0), v_depth[0], v_alpha[0], None, None, None

@@ -89,11 +89,12 @@ def test_pictures_and_gradients_equal_the_definition(near: bool, behind: bool) -
             assert torch.allclose(grads[name], wanted, rtol=1e-10, atol=1e-12), name
 
 
-def test_normal_agreement_equals_the_definition() -> None:
+@pytest.mark.parametrize("edge", [float("inf"), 4.0])
+def test_normal_agreement_equals_the_definition(edge: float) -> None:
     results = []
     for of in (ops, reference):
         m = maps(4)
-        loss = of.normal_agreement(m["normal"], m["depth"], m["alpha"], camera())
+        loss = of.normal_agreement(m["normal"], m["depth"], m["alpha"], camera(), edge=edge)
         (3 * loss).backward()
         results.append((loss.detach(), m["normal"].grad, m["depth"].grad, m["alpha"].grad))
     for found, wanted in zip(*results, strict=True):
