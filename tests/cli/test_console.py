@@ -3,8 +3,9 @@
 import pytest
 
 from refdgs_pipe.cli import console
-from refdgs_pipe.cli.console import Console, Estimate, duration, figure, size
+from refdgs_pipe.cli.console import Console, Estimate
 from refdgs_pipe.pipeline.events import Damaged, Finished, Measured, Progress, Started, Warned
+from refdgs_pipe.wording import duration, figure, size
 
 
 def test_durations_and_sizes_are_said_with_the_digits_that_matter() -> None:

@@ -8,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scenes import orbit, waves
+from painted import textured
+from scenes import orbit
 from solids import sphere
 
 from refdgs_pipe.artifacts.asset import Asset
 from refdgs_pipe.artifacts.mesh import Mesh
 from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
-from refdgs_pipe.color import linear_from_srgb, srgb_from_linear
+from refdgs_pipe.color import linear_from_srgb
 from refdgs_pipe.errors import CorruptError, ExportError, ShapeError
 from refdgs_pipe.export import files
 from refdgs_pipe.export.preview import render_preview
@@ -23,33 +24,9 @@ from refdgs_pipe.export.splats import write_splats
 from refdgs_pipe.export.usd import write_usdz
 from refdgs_pipe.export.validate import glb_faults, require, usd_faults
 from refdgs_pipe.files.ply import read_ply
-from refdgs_pipe.texture.charts import one_by_one_corners, seam_split, unmirrored
-from refdgs_pipe.texture.tangents import mikktspace
-from refdgs_pipe.texture.texels import rasterize
+from refdgs_pipe.texture.charts import one_by_one_corners, seam_split
 
 VALIDATOR = Path(__file__).parent / "validate_gltf.js"
-
-
-def textured(size: int = 256) -> TexturedMesh:
-    """A ball of radius 1 at (0, 0, 1), z up, with a known picture and half of it metal."""
-    solid = sphere(12, center=(0, 0, 1))
-    mesh = seam_split(solid, unmirrored(one_by_one_corners(len(solid.faces))))
-    texels = rasterize(mesh, size)
-    points = texels.interpolate(mesh, mesh.vertices)
-
-    def texture(values: np.ndarray) -> np.ndarray:
-        return texels.picture(np.round(np.clip(values, 0, 1) * 65535).astype(np.uint16))
-
-    flat = np.broadcast_to(np.float32([0.5, 0.5, 1]), points.shape)
-    return TexturedMesh(
-        mesh,
-        mikktspace(mesh),
-        base_color=texture(srgb_from_linear(waves(points).astype(np.float32))),
-        roughness=texture(0.2 + 0 * points[:, 0]),
-        metallic=texture((points[:, 2] > 1).astype(np.float32)),
-        normal=texture(flat),
-        confidence=texture(np.ones(len(points))),
-    )
 
 
 @pytest.fixture(scope="module")
