@@ -18,6 +18,7 @@ from refdgs_pipe.artifacts.surfel_field import ShaderModel, SurfelField, SurfelS
 from refdgs_pipe.artifacts.views import Exif, Skipped, View, Views
 from refdgs_pipe.camera import Lens
 from refdgs_pipe.export import files
+from refdgs_pipe.export.frame import AssetFrame
 from refdgs_pipe.export.product import product
 from refdgs_pipe.files.images import write_png
 from refdgs_pipe.pipeline.catalog import load_stages
@@ -95,7 +96,9 @@ def field() -> SurfelField:
 def asset(folder: Path) -> Asset:
     """The exported files of a small textured ball."""
     made = product(textured(64), up=UP, metres_per_unit=0.1)
-    for write in files.writers(preview=64):
+    frame, light = AssetFrame.of(UP, 0.1), np.ones((8, 16, 3), np.float32)
+    around = files.Surroundings(frame, light, CAMERAS, field().geometry)
+    for write in files.writers(around, preview=64):
         write(folder, made)
     return Asset.of(folder, faces=len(made.faces), texture_size=64)
 

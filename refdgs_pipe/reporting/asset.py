@@ -78,7 +78,7 @@ def _smaller(made: Product) -> bytes:
     )
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "small.glb"
-        write_glb(path, reduced, generator="refdgs-pipe report", extras={})
+        write_glb(path, reduced, generator="refdgs-pipe report")
         return path.read_bytes()
 
 

@@ -100,13 +100,13 @@ def _faults(folder: Path, file: AssetFile) -> list[str]:
         return ["changed since it was written"]
     if path.suffix == ".glb":
         return glb_faults(path)
-    return usd_faults(path) if path.suffix in (".usdc", ".usdz") else []
+    return usd_faults(path) if path.suffix in (".usda", ".usdc", ".usdz") else []
 
 
 def _checks(name: str) -> str:
     if name.endswith(".glb"):
         return "hash; structure, buffers, unit normals and tangents, bounds"
-    if name.endswith((".usdc", ".usdz")):
+    if name.endswith((".usda", ".usdc", ".usdz")):
         return "hash; USD's validators, up axis, unit" + (
             ", package for AR" if name.endswith(".usdz") else ""
         )

@@ -2,9 +2,11 @@
 
 from contextlib import suppress
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from refdgs_pipe.artifacts.asset import Asset
 from refdgs_pipe.artifacts.photos import Photo, load_photo
 from refdgs_pipe.artifacts.scores import Scores
 from refdgs_pipe.artifacts.sparse_model import SparseModel
@@ -12,7 +14,7 @@ from refdgs_pipe.artifacts.surfel_field import SurfelField
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.color import srgb_from_linear
-from refdgs_pipe.errors import RefdgsError
+from refdgs_pipe.errors import CorruptError, RefdgsError
 from refdgs_pipe.metrics import psnr
 from refdgs_pipe.reporting import plots
 from refdgs_pipe.reporting.facts import Drawing, Facts
@@ -126,6 +128,25 @@ def maps(facts: Facts, drawing: Drawing) -> Html:
         "n / 2 + 1/2; reflections are the light that the surface mirrors, over white clipped."
     )
     return joined(tag("p", words), *rows)
+
+
+def surroundings(facts: Facts, _: Drawing) -> Html:
+    """The light that the object stood in, as it mirrors it."""
+    path = facts.folder(Asset) / "environment.hdr"
+    if not path.exists():
+        return tag("p", "The export holds none: the field is matte, or older.", class_="none")
+    light = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    if light is None:
+        raise CorruptError(f"{path.name}: not a readable picture")
+    pixels = webp(eight_bits(srgb_from_linear(np.asarray(light[..., ::-1], np.float32))))
+    size = (light.shape[1], light.shape[0])
+    words = (
+        "environment.hdr: what a perfect mirror in the object's place would show, up above, the "
+        "front (+Z) in the middle, the right (+X) on its left. Sides that the photos did not see "
+        "mirrored are guesses. Brighter than white is clipped here."
+    )
+    picture = image(pixels, "lat-long picture of the surroundings", size, class_="wide")
+    return joined(tag("p", words), picture)
 
 
 def _over_white(photo: Photo) -> F32:
