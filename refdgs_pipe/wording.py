@@ -28,3 +28,8 @@ def size(count: int) -> str:
 def figure(value: float | int | str) -> str:
     """A measured value, with the digits that matter."""
     return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def counted(count: int, noun: str) -> str:
+    """A number of things: no photos, 1 photo, 2 photos."""
+    return f"{count or 'no'} {noun}{'' if count == 1 else 's'}"

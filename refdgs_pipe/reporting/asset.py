@@ -19,13 +19,13 @@ from refdgs_pipe.reporting.facts import Drawing, Facts
 from refdgs_pipe.reporting.html import Html, figure, image, joined, tag
 from refdgs_pipe.reporting.pictures import data_uri, fitted, webp
 from refdgs_pipe.texture.texels import rasterize
-from refdgs_pipe.wording import size
+from refdgs_pipe.wording import counted, size
 
 U8 = NDArray[np.uint8]
 VIEWER = "model-viewer-4.4.0.umd.min.js"
 _FRAMES, _FRAME, _CLOSE_UP, _ZOOM = 10, 400, 480, 4.0
 _MOST_BYTES = 12_000_000  # a larger GLB is embedded with smaller textures
-_TEXTURE, _MAP = 1024, 512  # px, in an embedded GLB and in the page
+_TEXTURE, _MAP, _LIGHT = 1024, 512, 128  # px, of an embedded GLB, of the page, of its light
 
 
 def viewer(facts: Facts, _: Drawing) -> Html:
@@ -42,6 +42,7 @@ def viewer(facts: Facts, _: Drawing) -> Html:
     library = files("refdgs_pipe.reporting").joinpath("assets", VIEWER).read_text("utf-8")
     library = library.rpartition("//# sourceMappingURL=")[0] or library
     assert "</script" not in library.lower()
+    light = _light(folder)
     poster = data_uri((folder / "preview.png").read_bytes(), "image/png")
     button = tag("button", "Start the 3D view", type="button", id="start-3d")
     words = f"{note} Drag to turn, scroll or pinch to zoom; nothing is fetched from anywhere."
@@ -52,10 +53,28 @@ def viewer(facts: Facts, _: Drawing) -> Html:
             button,
             id="stage-3d",
         ),
+        _choice() if light else Html(""),
         tag("p", words, class_="hint"),
         tag("script", Html(_base64(content)), type="text/plain", id="glb"),
+        tag("script", Html(_base64(light)), type="text/plain", id="light") if light else Html(""),
         tag("script", Html(library), type="text/plain", id="viewer"),
     )
+
+
+def _choice() -> Html:
+    """Which light falls on the object; shown once the view has started."""
+    box = tag("input", type="checkbox", id="as-photographed")
+    words = " in the light that the object stood in, as far as its reflections tell"
+    return tag("label", box, words, id="light-3d", hidden=True)
+
+
+def _light(folder: Path) -> bytes | None:
+    """The surroundings as a small HDR that the viewer takes: +X in its centre, ours has +Z."""
+    found = cv2.imread(str(folder / "environment.hdr"), cv2.IMREAD_UNCHANGED)
+    if found is None:
+        return None
+    small = cv2.resize(found, (2 * _LIGHT, _LIGHT), interpolation=cv2.INTER_AREA)
+    return cv2.imencode(".hdr", np.roll(small, _LIGHT // 2, axis=1))[1].tobytes()
 
 
 def _base64(content: bytes) -> str:
@@ -142,10 +161,10 @@ def atlas(facts: Facts, _: Drawing) -> Html:
     rims, length = open_rims(textured.mesh)
     holes = "The mesh has no holes."
     if rims:
-        words = "1 open rim" if rims == 1 else f"{rims} open rims"
-        holes = f"The mesh has {words}, {length:.3g} world units long in all."
+        words = f"{counted(rims, 'open rim')}, {length:.3g} world units long in all"
+        holes = f"The mesh has {words}."
     words = (
-        f"{textured.size} x {textured.size} texels, {charts} charts on {used:.0%} of them. "
+        f"{textured.size} x {textured.size} texels, {counted(charts, 'chart')} on {used:.0%}. "
         f"{unseen:.1%} of the texels in charts were seen by no camera; their colours are "
         f"filled in from beside them. {holes}"
     )

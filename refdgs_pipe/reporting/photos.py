@@ -16,6 +16,7 @@ from refdgs_pipe.reporting import plots
 from refdgs_pipe.reporting.facts import Drawing, Facts
 from refdgs_pipe.reporting.html import Html, figure, image, joined, tag
 from refdgs_pipe.reporting.pictures import thumbnail, webp
+from refdgs_pipe.wording import counted
 
 _SIDE = 168  # px, the longer side of a thumbnail
 _AT_ONCE = 24  # photos shown before "show the others"
@@ -65,11 +66,12 @@ def _summary(views: Views, faults: dict[str, dict[str, str]], *, hidden: int) ->
     held = sum(view.split == "test" for view in views.items)
     skipped = sum(not file.harmless for file in views.skipped)
     words = (
-        f"{len(views.items)} photos: {count('lost')} lost (no camera position was found), "
-        f"{count('blurred')} blurred, {held} held out from training. "
-        f"{skipped} files could not be read."
+        f"{counted(len(views.items), 'photo')}: {count('lost')} lost (no camera position was "
+        f"found), {count('blurred')} blurred, {held} held out from training."
     )
-    return tag("p", words + (f" {hidden} photos without a fault are not shown." if hidden else ""))
+    words += f" {counted(skipped, 'file')} could not be read." if skipped else ""
+    rest = f" {counted(hidden, 'photo')} without a fault not shown." if hidden else ""
+    return tag("p", words + rest)
 
 
 def _thumbnail(views: Views, view: View) -> tuple[str, tuple[int, int]] | None:
@@ -128,9 +130,8 @@ def cameras(facts: Facts, _: Drawing) -> Html:
             label=f"camera positions {label}",
         )
         drawn.append(figure(plot, label))
-    lost = f"{len(model.lost)} photos have none" if model.lost else "no photo is without one"
     words = (
-        f"{len(model.cameras)} cameras; {lost}. "
+        f"{counted(len(model.cameras), 'camera')}; {counted(len(model.lost), 'photo')} without. "
         f"{_coverage(model)} The circle is the ball that the object is taken to lie in."
     )
     key = joined(

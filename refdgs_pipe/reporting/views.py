@@ -20,6 +20,7 @@ from refdgs_pipe.reporting import plots
 from refdgs_pipe.reporting.facts import Drawing, Facts
 from refdgs_pipe.reporting.html import Html, figure, image, joined, tag
 from refdgs_pipe.reporting.pictures import ERROR_FULL, eight_bits, error_map, webp, with_alpha
+from refdgs_pipe.wording import counted
 
 F32 = NDArray[np.float32]
 _LONGEST = 440  # px of what is rendered
@@ -65,7 +66,9 @@ def comparisons(facts: Facts, drawing: Drawing) -> Html:
     open_ones = {0, len(rows) // 2, len(rows) - 1}  # worst, middle, best; the others on demand
     first = [row for i, row in enumerate(rows) if i in open_ones]
     more = [row for i, row in enumerate(rows) if i not in open_ones]
-    others = tag("details", tag("summary", f"{len(more)} more views"), *more) if more else Html("")
+    others = Html("")
+    if more:
+        others = tag("details", tag("summary", counted(len(more), "more view")), *more)
     return joined(tag("p", words), *first, others)
 
 

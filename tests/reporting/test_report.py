@@ -126,7 +126,7 @@ def test_names_of_files_cannot_break_the_page(text: str) -> None:
     assert "<b>bad.jpg" not in text and "&lt;b&gt;bad.jpg" in text
     assert "<i>" not in body_of(text, "settings")
     scripts = [attributes for tag, attributes in Reader(text).found if tag == "script"]
-    assert [script.get("id") for script in scripts] == ["glb", "viewer", None]
+    assert [script.get("id") for script in scripts] == ["glb", "light", "viewer", None]
 
 
 def test_the_page_needs_nothing_but_itself(text: str) -> None:

@@ -39,6 +39,16 @@ for (const turn of document.querySelectorAll(".turn")) {
       view.setAttribute(name, values[name] || "");
     }
     view.addEventListener("load", () => stage.setAttribute("data-state", "loaded"));
+    const label = document.getElementById("light-3d");
+    if (label) {
+      // The viewer tells the format by the end of the name.
+      const light = `${URL.createObjectURL(new Blob([bytes("light")]))}#.hdr`;
+      label.hidden = false;
+      label.querySelector("input").addEventListener("change", (event) => {
+        if (event.target.checked) view.setAttribute("environment-image", light);
+        else view.removeAttribute("environment-image");
+      });
+    }
     view.addEventListener("error", () => {
       view.remove();
       stage.append(button);
