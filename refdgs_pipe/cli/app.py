@@ -234,14 +234,13 @@ def eval_command(
 def report_command(
     workspace: Folder,
     out: Annotated[Path | None, typer.Option("--out", help="another file", metavar="FILE")] = None,
-    device: Device = "auto",
     threads: Threads = 0,
 ) -> None:
     """Write WORKSPACE/report.html: photos, cameras, training, views, mesh, scores, 3D view."""
     from refdgs_pipe.cli import report
 
     space = spaces.open_workspace(workspace)
-    print(report.write(space, out, device=device, threads=threads))
+    print(report.write(space, out, threads=threads))
 
 
 @app.command("bench")

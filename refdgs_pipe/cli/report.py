@@ -4,23 +4,21 @@ import sys
 from pathlib import Path
 
 from refdgs_pipe import recipe
-from refdgs_pipe.cli.device import choose_device, core_count
+from refdgs_pipe.cli.device import core_count
 from refdgs_pipe.cli.workspace import Workspace
 
-NAME = "report.html"
 
-
-def write(space: Workspace, out: Path | None, *, device: str, threads: int) -> Path:
+def write(space: Workspace, out: Path | None, *, threads: int) -> Path:
     """Write report.html in the workspace, or to `out`, and return where it is.
 
     What cannot be shown is said on stderr and on the page.
 
     Raises:
         WriteError: the page cannot be written.
-        InputError, CaptureError, DeviceError: as `status` and `run` raise them.
+        InputError, CaptureError: as `status` raises them.
     """
     from refdgs_pipe.reporting.facts import Drawing, collect
-    from refdgs_pipe.reporting.page import write_report
+    from refdgs_pipe.reporting.page import NAME, write_report
 
     facts = collect(
         space.pipeline.store,
@@ -33,16 +31,15 @@ def write(space: Workspace, out: Path | None, *, device: str, threads: int) -> P
         private=[space.root, space.root.parent, Path.home(), *_folders(space)],
     )
     path = out or space.root / NAME
-    drawing = Drawing(choose_device(device), threads or core_count())
-    for problem in write_report(path, facts, drawing):
+    for problem in write_report(path, facts, Drawing(threads or core_count())):
         print(f"report: warning: {problem}", file=sys.stderr)
     return path
 
 
-def write_if_possible(space: Workspace, *, device: str, threads: int) -> Path | None:
+def write_if_possible(space: Workspace, *, threads: int) -> Path | None:
     """`write`, but whatever goes wrong is only a warning: the run itself is over."""
     try:
-        return write(space, None, device=device, threads=threads)
+        return write(space, None, threads=threads)
     except KeyboardInterrupt:
         print("report: warning: not written, stopped", file=sys.stderr)
         return None

@@ -50,10 +50,10 @@ def make(workspace: Workspace, options: Options) -> int:
         raise
     except RefdgsError:
         if is_workspace(workspace.root):
-            report.write_if_possible(workspace, device="auto", threads=options.threads)
+            report.write_if_possible(workspace, threads=options.threads)
         raise
     seconds = time.monotonic() - start
-    page = report.write_if_possible(workspace, device=options.device, threads=options.threads)
+    page = report.write_if_possible(workspace, threads=options.threads)
     record = _record(workspace, steps, made, seconds) | {"report": page and str(page)}
     if options.json:
         _print_json(record)

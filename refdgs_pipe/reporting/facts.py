@@ -72,9 +72,8 @@ class Notes:
 
 @dataclass(frozen=True)
 class Drawing:
-    """What draws: the device and its threads."""
+    """How pictures are drawn: on the CPU, with so many threads. It does not change them."""
 
-    device: str = "cpu"
     threads: int = 1
 
 

@@ -23,6 +23,7 @@ from refdgs_pipe.reporting.pictures import ERROR_FULL, eight_bits, error_map, we
 from refdgs_pipe.wording import counted
 
 F32 = NDArray[np.float32]
+DEVICE = "cpu"  # some small pictures: no GPU is worth waking up for them
 _LONGEST = 440  # px of what is rendered
 _COMPARED, _MAPPED = 6, 3  # views
 
@@ -56,7 +57,7 @@ def comparisons(facts: Facts, drawing: Drawing) -> Html:
         scale = camera.fitted(_LONGEST).width / camera.width
         photo = load_photo(views, model, camera, scale=scale)
         target = _over_white(photo)
-        drawn = render_image(field, photo.camera, device=drawing.device, threads=drawing.threads)
+        drawn = render_image(field, photo.camera, device=DEVICE, threads=drawing.threads)
         rows.append(_row(views[camera.name].source or camera.name, photo, target, drawn))
     kind = "held out from training" if held else "used in training (none was held out)"
     words = (
@@ -111,7 +112,7 @@ def maps(facts: Facts, drawing: Drawing) -> Html:
     rows = []
     for camera in chosen_cameras(facts, model, _MAPPED):
         sized = camera.fitted(_LONGEST)
-        seen = render_surface_map(field, sized, device=drawing.device, threads=drawing.threads)
+        seen = render_surface_map(field, sized, device=DEVICE, threads=drawing.threads)
         layers: tuple[tuple[str, F32], ...] = (
             ("normal, world", seen.normal * 0.5 + 0.5),
             ("diffuse", srgb_from_linear(seen.diffuse)),

@@ -12,6 +12,8 @@ from typing import Any
 
 import pytest
 
+from refdgs_pipe.cli.workspace import Memory, open_workspace
+
 FAKE_CLI = Path(__file__).parent.parent / "fake_cli.py"
 
 
@@ -327,3 +329,16 @@ def test_a_report_that_cannot_be_written_is_only_a_warning(shell: Shell) -> None
     assert result.stdout == f"{shell.work / 'asset'}\n"
     assert "report: warning: not written" in result.stderr
     assert json.loads(shell("run", "letters", "--json").stdout)["report"] is None
+
+
+def test_the_exported_files_get_the_name_of_the_recipe(tmp_path: Path) -> None:
+    own = tmp_path / "mine.toml"
+    own.write_text("# For a test.\nextends = 'preview'\n")
+
+    def named(recipe: str, *assignments: str) -> str:
+        memory = Memory((tmp_path,), recipe, assignments)
+        export: Any = open_workspace(tmp_path / "work", memory).settings["export"]
+        return str(export.recipe)
+
+    assert named("glossy") == "glossy" and named(str(own)) == "mine"
+    assert named("glossy", "export.recipe='other'") == "other"
