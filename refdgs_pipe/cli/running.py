@@ -53,6 +53,8 @@ def make(workspace: Workspace, options: Options) -> int:
             report.write_if_possible(workspace, threads=options.threads)
         raise
     seconds = time.monotonic() - start
+    if options.verbosity:
+        print("report: drawing", file=sys.stderr)
     page = report.write_if_possible(workspace, threads=options.threads)
     record = _record(workspace, steps, made, seconds) | {"report": page and str(page)}
     if options.json:

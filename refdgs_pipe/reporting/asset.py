@@ -23,7 +23,7 @@ from refdgs_pipe.wording import counted, size
 
 U8 = NDArray[np.uint8]
 VIEWER = "model-viewer-4.4.0.umd.min.js"
-_FRAMES, _FRAME, _CLOSE_UP, _ZOOM = 10, 400, 480, 4.0
+_FRAMES, _FRAME, _CLOSE_UP, _ZOOM = 8, 380, 480, 4.0
 _MOST_BYTES = 12_000_000  # a larger GLB is embedded with smaller textures
 _TEXTURE, _MAP, _LIGHT = 1024, 512, 128  # px, of an embedded GLB, of the page, of its light
 

@@ -130,8 +130,9 @@ def cameras(facts: Facts, _: Drawing) -> Html:
             label=f"camera positions {label}",
         )
         drawn.append(figure(plot, label))
+    count, lost = len(model.cameras), len(model.lost)
     words = (
-        f"{counted(len(model.cameras), 'camera')}; {counted(len(model.lost), 'photo')} without. "
+        f"{counted(count, 'camera')}; {counted(lost, 'photo')} without one. "
         f"{_coverage(model)} The circle is the ball that the object is taken to lie in."
     )
     key = joined(

@@ -129,7 +129,8 @@ def maps(facts: Facts, drawing: Drawing) -> Html:
         rows.append(tag("div", *pictures, class_="quad"))
     words = (
         "What the field holds: pixels of the object only. Normals are in the world's axes, "
-        "n / 2 + 1/2; reflections are the light that the surface mirrors, over white clipped."
+        "n / 2 + 1/2. Reflections are the light that the surface mirrors; brighter than white is "
+        "clipped."
     )
     return joined(tag("p", words), *rows)
 

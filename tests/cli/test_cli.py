@@ -70,6 +70,7 @@ def test_run_prints_the_asset_on_stdout_and_the_rest_on_stderr(shell: Shell) -> 
         "shout: done in T",
         "export: never run",
         "export: done in T",
+        "report: drawing",
         "",
         "made read T, shout T, export T",
         "  parts/0.bin  5.0 kB",

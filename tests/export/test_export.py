@@ -26,6 +26,7 @@ from refdgs_pipe.export.frame import AssetFrame
 from refdgs_pipe.export.preview import render_preview
 from refdgs_pipe.export.product import Product, product, scale_of
 from refdgs_pipe.export.splats import in_asset_frame, write_particle_field, write_splats
+from refdgs_pipe.export.turntable import render_close_up, render_turntable
 from refdgs_pipe.export.usd import write_usdz
 from refdgs_pipe.export.validate import glb_faults, require, usd_faults
 from refdgs_pipe.files.ply import read_ply
@@ -177,6 +178,21 @@ def test_the_preview_shows_the_object(ball: Product) -> None:
     assert (corners == corners[0]).all()
     shown = (picture != corners[0]).any(2).mean()
     assert 0.5 < shown < 0.8  # three discs that nearly fill their squares
+
+
+def test_a_turntable_shows_the_same_outline_painted_and_as_triangles(ball: Product) -> None:
+    turns = render_turntable(ball, count=3, side=64, threads=2)
+    assert len(turns) == 3
+    for turn in turns:
+        assert turn.painted.shape == turn.wire.shape == (64, 64, 4)
+        np.testing.assert_array_equal(turn.painted[..., 3], turn.wire[..., 3])
+        covered = (turn.painted[..., 3] > 127).mean()
+        assert 0.5 < covered < 0.8  # a disc that nearly fills its square
+    assert np.abs(turns[0].painted.astype(int) - turns[1].painted).max() > 40  # its other side
+    close = render_close_up(ball, side=64, zoom=4.0)
+    assert (close.wire[..., 3] == 255).all()
+    grey = close.wire[..., :3].mean(2)
+    assert 0.02 < (grey < 0.6 * grey.max()).mean() < 0.5  # dark lines on light clay
 
 
 def surfels(count: int = 7) -> SurfelSet:
