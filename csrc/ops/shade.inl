@@ -165,11 +165,11 @@ void shade_inputs_bwd(const Covered<S>& in, Band band, const Inputs<const S>& v,
 }
 
 template <class V, class S> inline V clip_linear(V linear, S least) {
-  return min_of(max_of(linear, V{} + least), V{} + 1);  // the operand order turns a NaN into the bound
+  return min_of(V{} + 1, max_of(V{} + least, linear));  // in this order a NaN stays one
 }
 template <class S> inline typename Simd<S>::vf srgb_of(typename Simd<S>::vf x) {
   const auto curve = S(1.055) * exp_of(ln_of(x) * S(1 / 2.4)) - S(0.055);
-  return select(at_most(x, all(S(0.0031308))), S(12.92) * x, curve);
+  return select(less(all(S(0.0031308)), x), curve, S(12.92) * x);
 }
 
 // LANES pixels along a row from x on; past the row's end, its last pixel.

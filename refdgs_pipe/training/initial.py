@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
 from scipy.spatial import KDTree
 from torch import Tensor
 
@@ -16,6 +17,8 @@ from refdgs_pipe.training.carving import boundary, empty_cells
 F32 = NDArray[np.float32]
 
 HULL_CELLS = 96  # along the ball's diameter
+import os
+NEED = float(os.environ.get("NEED","0.5"))
 SKY_SURFELS = 4000
 SKY_DISTANCE = 8.0  # of the farthest camera from the ball, in their distance
 
@@ -77,6 +80,8 @@ def visual_hull(ball: Ball, cameras: list[Camera], masks: list[F32]) -> Hull | N
 def carved(hull: Hull, cameras: list[Camera], pictures: list[Tensor], masks: list[Tensor]) -> Hull:
     """The hull without the hollows that the photos (3, H, W) show; see `empty_cells`."""
     left = hull.cells & ~empty_cells(hull.cells, hull.axes(), cameras, pictures, masks)
+    kept, known = (uniform_filter(c.astype(np.float32), 3) for c in (left, hull.cells))
+    if NEED>0: left = hull.cells & (kept >= NEED * known)  # a majority of the neighbours in the hull: no crumbs
     return replace(hull, cells=left) if left.sum() >= 50 else hull
 
 
