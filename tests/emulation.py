@@ -44,5 +44,6 @@ def emulated(order: int = 0) -> Iterator[None]:
         patch.setattr(cuda, "on_gpu", lambda tensor: True)
         patch.setattr(cuda, "kernels", kernels)
         patch.setattr(cuda, "memory", memory)
+        patch.setattr(cuda, "processors", lambda like: 1)
         yield
     memory.check()

@@ -45,6 +45,12 @@ def suffix(like: Tensor) -> str:
     return "float" if like.dtype == torch.float32 else "double"
 
 
+def processors(like: Tensor) -> int:
+    """How many multiprocessors the GPU has."""
+    count: int = torch.cuda.get_device_properties(like.device).multi_processor_count
+    return count
+
+
 def memory(size: int, like: Tensor) -> Tensor:
     """(size,) bytes with unknown content where `like` is; torch keeps them for the next call."""
     return torch.empty(size, dtype=torch.uint8, device=like.device)

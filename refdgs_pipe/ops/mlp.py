@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from refdgs_pipe.errors import ShapeError
+from refdgs_pipe.ops import cuda, cuda_fused
 from refdgs_pipe.ops.checks import check_alike
 
 HIDDEN = 64
@@ -43,6 +44,11 @@ def mlp(
         ShapeError: sizes or types that must agree do not, or exceed these limits.
     """
     _check(x, weights, biases)
+    if cuda.on_gpu(x):
+        on_gpu: Tensor = cuda_fused.Mlp.apply(  # type: ignore[no-untyped-call]
+            x, exp_cap, *weights, *biases
+        )
+        return on_gpu
     count = threads or torch.get_num_threads()
     result: Tensor = _Mlp.apply(  # type: ignore[no-untyped-call]
         x, exp_cap, count, *weights, *biases
