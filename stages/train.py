@@ -18,7 +18,7 @@ def train(views: Views, model: SparseModel, params: TrainParams, job: Job) -> Su
     from refdgs_pipe.training.trainer import Trainer
 
     torch.set_num_threads(job.threads)
-    trainer = Trainer(views, model, params, job.scratch)
+    trainer = Trainer(views, model, params, job.scratch, device=job.device)
     field = trainer.run(
         lambda done, total, note, work: job.progress("training", done, total, note, work)
     )
