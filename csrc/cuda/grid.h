@@ -8,6 +8,7 @@
 // so that no result depends on an order. Every lane of a warp must reach every exchange.
 #pragma once
 #include <cstdint>
+#include <cstdlib>
 
 #include "../math/vec.h"
 
@@ -33,18 +34,27 @@ REFDGS_KERNEL int lowest_bit(uint32_t x) { return __builtin_ctz(x); }
 REFDGS_KERNEL int bit_count(uint32_t x) { return __builtin_popcount(x); }
 #endif
 
-// Four scalars at a time, where memory is aligned to that.
+// Four scalars at a time, where memory is aligned to that: a GPU faults where it is not, so the emulated grid stops.
 template <class S> struct alignas(4 * sizeof(S)) Quad {
   S v[4];
 };
+#if defined(__CUDACC__)
+REFDGS_KERNEL void check_quad(const void*, size_t) {}
+#else
+inline void check_quad(const void* at, size_t bytes) {
+  if (reinterpret_cast<uintptr_t>(at) % bytes) std::abort();
+}
+#endif
 template <int N, class S> REFDGS_KERNEL void copy_quads(S* to, const S* from) {
   static_assert(N % 4 == 0, "quads");
+  check_quad(from, sizeof(Quad<S>));
   for (int i = 0; i < N; i += 4) {
     const Quad<S> q = *reinterpret_cast<const Quad<S>*>(from + i);
     for (int k = 0; k < 4; ++k) to[i + k] = q.v[k];
   }
 }
 template <class S> REFDGS_KERNEL void put_quad(S* to, const S* v) {
+  check_quad(to, sizeof(Quad<S>));
   *reinterpret_cast<Quad<S>*>(to) = {{v[0], v[1], v[2], v[3]}};
 }
 

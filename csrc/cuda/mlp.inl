@@ -9,7 +9,7 @@ template <class S, class Queue> void mlp(const Queue& q, const MlpCall<S>& call)
 
 template <class S, class Queue> void mlp_bwd(const Queue& q, const MlpCall<S>& call) {
   q.run(call.blocks, MlpBackward<S>{call});
-  q.run(blocks_for(call.numbers(), SumParts<S>::kThreads), SumParts<S>{call});
+  q.run(blocks_for(call.numbers(), kWarp), SumParts<S>{call});
 }
 
 #define REFDGS_MLP(S, Queue)                                       \

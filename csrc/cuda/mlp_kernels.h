@@ -217,17 +217,23 @@ template <class S> struct MlpBackward {
   }
 };
 
-// A thread: one number of the weights' and biases' gradients.
+// A block: 32 numbers of the weights' and biases' gradients; each warp adds every eighth part.
 template <class S> struct SumParts {
-  static constexpr int kThreads = 128;
-  using Shared = Nothing;
+  static constexpr int kThreads = 256, kStripes = kThreads / kWarp;
+  struct Shared {
+    double sums[kStripes][kWarp];
+  };
   MlpCall<S> f;
 
-  template <class Thread> REFDGS_KERNEL void operator()(Thread& t, Shared&) const {
-    const int i = t.block() * kThreads + t.thread(), numbers = f.numbers();
-    if (i >= numbers) return;
+  template <class Thread> REFDGS_KERNEL void operator()(Thread& t, Shared& s) const {
+    const int i = t.block() * kWarp + t.lane(), numbers = f.numbers();
     double sum = 0;
-    for (int block = 0; block < f.blocks; ++block) sum += double(f.parts[int64_t(block) * numbers + i]);
+    if (i < numbers)
+      for (int part = t.warp(); part < f.blocks; part += kStripes) sum += double(f.parts[int64_t(part) * numbers + i]);
+    s.sums[t.warp()][t.lane()] = sum;
+    t.sync();
+    if (t.warp() || i >= numbers) return;
+    for (int k = 1; k < kStripes; ++k) sum += s.sums[k][t.lane()];
     int l = 0;
     while (i >= f.start(l + 1)) ++l;
     const int at = i - f.start(l), weights = f.outputs(l) * f.inputs(l);

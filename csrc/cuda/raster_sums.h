@@ -17,12 +17,23 @@ template <class S> struct SumSlots {
 
   template <class Thread> REFDGS_KERNEL void operator()(Thread& t, Shared&) const {
     const int64_t i = int64_t(t.block()) * (kThreads / kWarp) + t.warp();
+    const bool there = i < d.surfels.count;
+    const int64_t begin = there ? d.slot_start[i] : 0, end = there ? d.slot_start[i + 1] : 0;
     const int c = t.lane(), width = d.width();
-    if (i >= d.surfels.count || c >= width) return;
     S sum = 0;
-    for (int64_t slot = d.slot_start[i]; slot < d.slot_start[i + 1]; ++slot)
-      if (v.activity[slot]) sum += v.slots[slot * width + c];
-    v.sums[i * width + c] = sum;
+    for (int64_t base = begin; base < end; base += kWarp) {
+      uint32_t list = t.ballot(base + c < end && v.activity[base + c]);
+      while (list) {  // four loads on their way at once
+        S row[4] = {};
+        for (int k = 0; k < 4; ++k) {
+          if (!list) break;
+          if (c < width) row[k] = v.slots[(base + lowest_bit(list)) * width + c];
+          list &= list - 1;
+        }
+        for (int k = 0; k < 4; ++k) sum += row[k];
+      }
+    }
+    if (there && c < width) v.sums[i * width + c] = sum;
   }
 };
 
@@ -69,9 +80,9 @@ template <class S> struct SurfelVjp {
 
 // out[c] = the sum of column c of parts [rows][columns], added in double and in one fixed order.
 template <class S> struct SumRows {
-  static constexpr int kThreads = 256, kColumns = 16, kStripes = kThreads / kColumns;
+  static constexpr int kThreads = 256;
   struct Shared {
-    double sums[kStripes][kColumns];
+    double sums[kThreads];
   };
   const S* parts;
   int64_t rows;
@@ -79,14 +90,14 @@ template <class S> struct SumRows {
   S* out;
 
   template <class Thread> REFDGS_KERNEL void operator()(Thread& t, Shared& s) const {
-    const int c = t.thread() % kColumns, stripe = t.thread() / kColumns;
+    const int c = t.thread() % columns, stripe = t.thread() / columns, stripes = kThreads / columns;
     double sum = 0;
-    if (c < columns)
-      for (int64_t row = stripe; row < rows; row += kStripes) sum += double(parts[row * columns + c]);
-    s.sums[stripe][c] = sum;
+    if (stripe < stripes)
+      for (int64_t row = stripe; row < rows; row += stripes) sum += double(parts[row * columns + c]);
+    s.sums[t.thread()] = sum;
     t.sync();
     if (t.thread() >= columns) return;
-    for (int k = 1; k < kStripes; ++k) sum += s.sums[k][c];
+    for (int k = 1; k < stripes; ++k) sum += s.sums[k * columns + c];
     out[c] = S(sum);
   }
 };

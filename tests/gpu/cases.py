@@ -110,7 +110,8 @@ def cases(*, small: bool) -> list[Case]:
     out += [Case(name, changed(n, change), size) for name, change in special.items()]
     out += [Case("N = 0", lambda: surfels(0), size), Case("N = 1", lambda: surfels(1), size)]
     sizes = [(1, 1), (17, 31)] if small else [(1, 1), (16, 16), (17, 31), (801, 603)]
-    out += [Case(f"{w} x {h}", lambda: surfels(n, seed=2), (w, h)) for w, h in sizes]
+    few = min(n, 200)  # so that discs are larger than pixels on small images too
+    out += [Case(f"{w} x {h}", lambda: surfels(few, seed=2), (w, h)) for w, h in sizes]
     for channels, extra, normals in ((4, "none", False), (8, "depth", True), (17, "depth", True)):
         name = f"{channels} channels, {extra}"
         out.append(Case(name, lambda c=channels: surfels(n, c), size, extra, normals))  # type: ignore[misc]
