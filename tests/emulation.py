@@ -26,6 +26,15 @@ class Guarded:
         self.blocks.append(block)
         return block[GUARD : GUARD + size]
 
+    def new_empty(self, like: Tensor, *size: Any) -> Tensor:
+        """Instead of `Tensor.new_empty`."""
+        shape = torch.Size(size[0] if size and isinstance(size[0], tuple | list) else size)
+        return self(shape.numel() * like.itemsize, like).view(like.dtype).view(shape)
+
+    def empty_like(self, like: Tensor) -> Tensor:
+        """Instead of `torch.empty_like`."""
+        return self.new_empty(like, tuple(like.shape))
+
     def check(self) -> None:
         for block in self.blocks:
             assert bool((block[:GUARD] == 255).all()) and bool((block[-GUARD:] == 255).all())
@@ -44,6 +53,8 @@ def emulated(order: int = 0) -> Iterator[None]:
         patch.setattr(cuda, "on_gpu", lambda tensor: True)
         patch.setattr(cuda, "kernels", kernels)
         patch.setattr(cuda, "memory", memory)
+        patch.setattr(Tensor, "new_empty", lambda like, *size: memory.new_empty(like, *size))
+        patch.setattr(torch, "empty_like", memory.empty_like)
         patch.setattr(cuda, "processors", lambda like: 1)
         yield
     memory.check()

@@ -55,7 +55,7 @@ for wheel in sorted(pathlib.Path(sys.argv[1]).glob("*.whl")):
         print(wheel)
 PYTHON
     if [ -s "$out/wheels.txt" ]; then
-        xargs "$python" -m pip install -q --no-index --no-deps --no-compile --upgrade --target "$site" <"$out/wheels.txt"
+        xargs -n 1 "$python" -m pip install -q --no-index --no-deps --no-compile --upgrade --target "$site" <"$out/wheels.txt"
         export PYTHONPATH="$site${PYTHONPATH:+:$PYTHONPATH}"
     fi
 fi
