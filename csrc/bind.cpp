@@ -37,9 +37,11 @@ template <class S> void bind_raster(nb::module_& m, const char* name) {
            })
       .def("backward",
            [](Raster<S>& self, const std::vector<Address>& in, int64_t count, int channels, Address maps,
-              Address v_maps, const std::vector<Address>& out) {
+              const std::vector<Address>& v_maps, const std::vector<Address>& out) {
              nb::gil_scoped_release release;
-             self.backward(surfels<S>(in, count, channels), at<S>(maps), at<S>(v_maps),
+             std::vector<const S*> v_planes;
+             for (const Address plane : v_maps) v_planes.push_back(at<S>(plane));
+             self.backward(surfels<S>(in, count, channels), at<S>(maps), v_planes.data(),
                            {at<S>(out[0]), at<S>(out[1]), at<S>(out[2]), at<S>(out[3]), at<S>(out[4]),
                             at<S>(out[5]), at<S>(out[6])});
            })

@@ -71,11 +71,11 @@ MlpParameters<S> mlp_parameters(const std::vector<Address>& weights, const std::
   return net;
 }
 
-// shape: points, inputs, hidden layers, outputs; cap: empty, or of the exponential.
+// shape: points, inputs, hidden layers, outputs, half; cap: empty, or of the exponential.
 template <class S>
 MlpPoints<S> mlp_points(const std::vector<int64_t>& shape, Address x, const std::vector<int64_t>& strides,
                         const std::vector<double>& cap) {
-  return {shape[0], at<S>(x), strides[0], strides[1], !cap.empty(), cap.empty() ? 0 : cap[0]};
+  return {shape[0], at<S>(x), strides[0], strides[1], !cap.empty(), cap.empty() ? 0 : cap[0], shape[4] != 0};
 }
 MlpShape mlp_shape(const std::vector<int64_t>& shape) { return {int(shape[1]), int(shape[2]), int(shape[3])}; }
 
@@ -104,20 +104,28 @@ template <class S> View<S> view_of(const std::vector<int64_t>& size, const std::
 }
 
 using Images = const std::vector<std::pair<Address, std::vector<int64_t>>>&;
+using Tables = const std::vector<std::pair<Address, std::vector<int64_t>>>&;  // addresses and two strides
+template <class S> Rows<S> rows(const std::pair<Address, std::vector<int64_t>>& of) {
+  return {at<S>(of.first), of.second[0], of.second[1]};
+}
+template <class S> Inputs<S> inputs(Tables of) {
+  return {rows<S>(of[0]), rows<S>(of[1]), rows<S>(of[2]), rows<S>(of[3]), rows<S>(of[4])};
+}
+
 // images: features, alpha, normal, near (address 0: none).
 template <class S>
 Covered<S> covered(const std::vector<int64_t>& size, const std::vector<double>& numbers, int64_t count, Address pixels,
-                   Images images) {
-  return {view_of<S>(size, numbers), count, at<const int64_t>(pixels), image<S>(images[0]), image<S>(images[1]),
-          image<S>(images[2]), image<S>(images[3])};
+                   int channels, Images images) {
+  return {view_of<S>(size, numbers), count, at<const int64_t>(pixels), channels, image<S>(images[0]),
+          image<S>(images[1]), image<S>(images[2]), image<S>(images[3])};
 }
 
-// images: object alpha, alpha, behind (address 0: none).
+// tables: diffuse, radiance; images: object alpha, alpha, behind (address 0: none).
 template <class S>
-Composite<S> composite_of(const std::vector<int64_t>& size, int64_t count, Address pixels, Address diffuse,
-                          int64_t diffuse_row, Address radiance, Images images, const std::vector<double>& backdrop) {
-  return {int(size[1]), int(size[0]), count, at<const int64_t>(pixels), at<const S>(diffuse), diffuse_row,
-          at<const S>(radiance), image<S>(images[0]), image<S>(images[1]), image<S>(images[2]),
+Composite<S> composite_of(const std::vector<int64_t>& size, int64_t count, Address pixels, Tables tables, Images images,
+                          const std::vector<double>& backdrop) {
+  return {int(size[1]), int(size[0]), count, at<const int64_t>(pixels), rows<const S>(tables[0]),
+          rows<const S>(tables[1]), image<S>(images[0]), image<S>(images[1]), image<S>(images[2]),
           {S(backdrop[0]), S(backdrop[1]), S(backdrop[2])}};
 }
 
@@ -125,40 +133,36 @@ template <class S> void bind_shade(nb::module_& m, const std::string& type) {
   using Addresses = const std::vector<Address>&;
   using Size = const std::vector<int64_t>&;
   using Numbers = const std::vector<double>&;
-  m.def(("shading_inputs_" + type).c_str(), [](Size size, Numbers numbers, int64_t count, Address pixels,
-                                               Images images, int threads, Addresses out) {
+  m.def(("shading_inputs_" + type).c_str(), [](Size size, Numbers numbers, int64_t count, Address pixels, int channels,
+                                               Images images, int threads, Tables out) {
     nb::gil_scoped_release release;
-    shading_inputs(covered<S>(size, numbers, count, pixels, images), threads,
-                   Inputs<S>{at<S>(out[0]), at<S>(out[1]), at<S>(out[2]), at<S>(out[3])});
+    shading_inputs(covered<S>(size, numbers, count, pixels, channels, images), threads, inputs<S>(out));
   });
   m.def(("shading_inputs_bwd_" + type).c_str(), [](Size size, Numbers numbers, int64_t count, Address pixels,
-                                                   Images images, int threads, Addresses v, Addresses grads) {
+                                                   int channels, Images images, int threads, Tables v,
+                                                   Addresses grads) {
     nb::gil_scoped_release release;
-    shading_inputs_bwd(covered<S>(size, numbers, count, pixels, images),
-                       Inputs<const S>{at<S>(v[0]), at<S>(v[1]), at<S>(v[2]), at<S>(v[3])}, threads,
+    shading_inputs_bwd(covered<S>(size, numbers, count, pixels, channels, images), inputs<const S>(v), threads,
                        MapGrads<S>{at<S>(grads[0]), at<S>(grads[1]), at<S>(grads[2]), at<S>(grads[3])});
   });
-  m.def(("composite_" + type).c_str(), [](Size size, int64_t count, Address pixels, Address diffuse,
-                                          int64_t diffuse_row, Address radiance, Images images, Numbers backdrop,
-                                          int threads, Address out) {
+  m.def(("composite_" + type).c_str(), [](Size size, int64_t count, Address pixels, Tables tables, Images images,
+                                          Numbers backdrop, int threads, Address out) {
     nb::gil_scoped_release release;
-    composite(composite_of<S>(size, count, pixels, diffuse, diffuse_row, radiance, images, backdrop), threads,
-              at<S>(out));
+    composite(composite_of<S>(size, count, pixels, tables, images, backdrop), threads, at<S>(out));
   });
-  m.def(("composite_bwd_" + type).c_str(), [](Size size, int64_t count, Address pixels, Address diffuse,
-                                              int64_t diffuse_row, Address radiance, Images images, Numbers backdrop,
-                                              int threads, Images v_image, Addresses grads) {
+  m.def(("composite_bwd_" + type).c_str(), [](Size size, int64_t count, Address pixels, Tables tables, Images images,
+                                              Numbers backdrop, int threads, Images v_image, Addresses grads) {
     nb::gil_scoped_release release;
-    composite_bwd(composite_of<S>(size, count, pixels, diffuse, diffuse_row, radiance, images, backdrop),
-                  image<S>(v_image[0]), threads, at<S>(grads[0]), at<S>(grads[1]), at<S>(grads[2]));
+    composite_bwd(composite_of<S>(size, count, pixels, tables, images, backdrop), image<S>(v_image[0]), threads,
+                  at<S>(grads[0]), at<S>(grads[1]), at<S>(grads[2]));
   });
-  // images: normal, depth, alpha; grads: of these three and working memory, or all 0.
-  m.def(("normal_agreement_" + type).c_str(), [](Size size, Numbers numbers, Images images, double scale, int threads,
-                                                 Addresses grads) {
+  // images: normal, depth, alpha; grads: of these three, or all 0.
+  m.def(("normal_agreement_" + type).c_str(), [](Size size, Numbers numbers, Images images, double scale, double edge,
+                                                 int threads, Addresses grads) {
     nb::gil_scoped_release release;
     return normal_agreement(Agreement<S>{view_of<S>(size, numbers), image<S>(images[0]), image<S>(images[1]),
-                                         image<S>(images[2]), S(scale), at<S>(grads[0]), at<S>(grads[1]),
-                                         at<S>(grads[2]), at<S>(grads[3])},
+                                         image<S>(images[2]), S(scale), S(edge), at<S>(grads[0]), at<S>(grads[1]),
+                                         at<S>(grads[2])},
                             threads);
   });
 }

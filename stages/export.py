@@ -6,6 +6,7 @@ from refdgs_pipe.artifacts.asset import Asset
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.surfel_field import SurfelField
 from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
+from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.params import Params
 from refdgs_pipe.pipeline.stage import Job, stage
 
@@ -19,38 +20,37 @@ class ExportParams(Params):
         le=10_000,
         description="longest side of the object in metres; unset: as the photos' scale tells",
     )
-    preview: int = Field(
-        480, ge=64, le=4096, description="side of each of the preview's three pictures, in pixels"
-    )
+    preview: int = Field(480, ge=64, le=4096, description="side of each preview picture, in pixels")
+    environment: int = Field(512, ge=16, le=4096, description="rows of environment.hdr, in pixels")
+    recipe: str = Field("", max_length=200, description="name to note; empty: the recipe's own")
 
 
-@stage(version=1, programs=("usd-core",))
+@stage(version=2, programs=("usd-core",))
 def export(
     textured: TexturedMesh,
     field: SurfelField,
     model: SparseModel,
+    views: Views,
     params: ExportParams,
     job: Job,
 ) -> Asset:
-    """Write GLB, USDC, USDZ, OBJ, splats and a preview picture."""
-    from refdgs_pipe.export import files
-    from refdgs_pipe.export.product import metres_per_unit, product
-    from refdgs_pipe.export.splats import write_splats
+    """Write GLB, USDC, USDZ, OBJ, splats, the surroundings and a preview picture."""
+    from refdgs_pipe.export.about import about_asset
+    from refdgs_pipe.export.files import Surroundings, writers
+    from refdgs_pipe.export.frame import AssetFrame, latlong_directions
+    from refdgs_pipe.export.product import product, scale_of
+    from refdgs_pipe.training.environment import mirrored_light
 
-    if params.longest is None and model.metres_per_unit is None:
+    scale, told = scale_of(textured.mesh, known=model.metres_per_unit, longest=params.longest)
+    if told == "unknown":
         job.measure("scale", "unknown: one unit is one metre; set export.longest, in metres")
-    scale = metres_per_unit(textured.mesh, known=model.metres_per_unit, longest=params.longest)
-    done = product(textured, up=model.up, metres_per_unit=scale)
-    for write in job.track(files.writers(preview=params.preview), "writing files"):
+    about = about_asset(params.recipe, (v.source or v.name for v in views.items), scale, told)
+    done = product(textured, up=model.up, metres_per_unit=scale, about=about)
+    frame = AssetFrame.of(model.up, scale)
+    light = mirrored_light(field, frame.to_world(latlong_directions(params.environment)))
+    around = Surroundings(frame, light, model.cameras, field.geometry)
+    for write in job.track(writers(around, preview=params.preview), "writing files"):
         write(job.folder, done)
-    write_splats(
-        job.folder / "splats.ply",
-        means=field.means,
-        quats=field.quats,
-        scales=field.scales,
-        opacities=field.opacities,
-        colors=field.diffuse,
-    )
     for name in ("asset.glb", "asset.usdz"):
         job.measure(name, round((job.folder / name).stat().st_size / 1e6, 2), "MB")
     job.measure("faces", len(done.faces))

@@ -73,7 +73,7 @@ MlpCall<S> mlp_call(Size shape, Address x, Strides strides, Addresses weights, A
   MlpCall<S> call{};
   call.shape = {int(shape[1]), int(shape[2]), int(shape[3])};
   call.blocks = int(shape[4]);
-  call.points = {shape[0], at<S>(x), strides[0], strides[1], !cap.empty(), cap.empty() ? 0 : cap[0]};
+  call.points = {shape[0], at<S>(x), strides[0], strides[1], !cap.empty(), cap.empty() ? 0 : cap[0], false};
   call.cap = S(call.points.cap), call.largest = std::exp(call.cap);
   for (size_t l = 0; l < weights.size(); ++l)
     call.net.weights[l] = at<const S>(weights[l]), call.net.bias[l] = at<const S>(biases[l]);
@@ -109,56 +109,65 @@ template <class S> View<S> grid_view(Size size, Numbers numbers) {
   return view;
 }
 
-// images: features, alpha, normal, near (address 0: none).
-template <class S> Covered<S> grid_covered(Size size, Numbers numbers, int64_t count, Address pixels, Images images) {
-  return {grid_view<S>(size, numbers), count, at<const int64_t>(pixels), image<S>(images[0]), image<S>(images[1]),
-          image<S>(images[2]), image<S>(images[3])};
+using Tables = const std::vector<std::pair<Address, std::vector<int64_t>>>&;  // addresses and two strides
+template <class S> Rows<S> grid_rows(const std::pair<Address, std::vector<int64_t>>& of) {
+  return {at<S>(of.first), of.second[0], of.second[1]};
+}
+template <class S> Inputs<S> grid_inputs(Tables of) {
+  return {grid_rows<S>(of[0]), grid_rows<S>(of[1]), grid_rows<S>(of[2]), grid_rows<S>(of[3]), grid_rows<S>(of[4])};
 }
 
-// rows: pixels, diffuse, radiance; images: object alpha, alpha, behind (address 0: none).
+// images: features, alpha, normal, near (address 0: none).
 template <class S>
-Composite<S> grid_composite(Size size, int64_t count, Addresses rows, int64_t diffuse_row, Images images) {
-  return {int(size[1]), int(size[0]), count, at<const int64_t>(rows[0]), at<const S>(rows[1]), diffuse_row,
-          at<const S>(rows[2]), image<S>(images[0]), image<S>(images[1]), image<S>(images[2]), {}};
+Covered<S> grid_covered(Size size, Numbers numbers, int64_t count, Address pixels, int channels, Images images) {
+  return {grid_view<S>(size, numbers), count, at<const int64_t>(pixels), channels, image<S>(images[0]),
+          image<S>(images[1]), image<S>(images[2]), image<S>(images[3])};
+}
+
+// tables: diffuse, radiance; images: object alpha, alpha, behind (address 0: none).
+template <class S>
+Composite<S> grid_composite(Size size, int64_t count, Address pixels, Tables tables, Images images) {
+  return {int(size[1]), int(size[0]), count, at<const int64_t>(pixels), grid_rows<const S>(tables[0]),
+          grid_rows<const S>(tables[1]), image<S>(images[0]), image<S>(images[1]), image<S>(images[2]), {}};
 }
 
 template <class S, class Queue> void bind_shade(nb::module_& m, const std::string& type) {
   m.def(("shading_inputs_" + type).c_str(), [](Address stream, Size size, Numbers numbers, int64_t count,
-                                               Address pixels, Images images, Addresses out) {
+                                               Address pixels, int channels, Images images, Tables out) {
     nb::gil_scoped_release release;
-    shading_inputs(Queue{at<void>(stream)}, grid_covered<S>(size, numbers, count, pixels, images),
-                   Inputs<S>{at<S>(out[0]), at<S>(out[1]), at<S>(out[2]), at<S>(out[3])});
+    shading_inputs(Queue{at<void>(stream)}, grid_covered<S>(size, numbers, count, pixels, channels, images),
+                   grid_inputs<S>(out));
   });
   m.def(("shading_inputs_bwd_" + type).c_str(), [](Address stream, Size size, Numbers numbers, int64_t count,
-                                                   Address pixels, Images images, Addresses v, Addresses grads) {
+                                                   Address pixels, int channels, Images images, Tables v,
+                                                   Addresses grads) {
     nb::gil_scoped_release release;
-    shading_inputs_bwd(Queue{at<void>(stream)}, grid_covered<S>(size, numbers, count, pixels, images),
-                       Inputs<const S>{at<S>(v[0]), at<S>(v[1]), at<S>(v[2]), at<S>(v[3])},
+    shading_inputs_bwd(Queue{at<void>(stream)}, grid_covered<S>(size, numbers, count, pixels, channels, images),
+                       grid_inputs<const S>(v),
                        MapGrads<S>{at<S>(grads[0]), at<S>(grads[1]), at<S>(grads[2]), at<S>(grads[3])});
   });
-  m.def(("composite_" + type).c_str(), [](Address stream, Size size, int64_t count, Addresses rows,
-                                          int64_t diffuse_row, Images images, Address backdrop, Address out) {
+  m.def(("composite_" + type).c_str(), [](Address stream, Size size, int64_t count, Address pixels, Tables tables,
+                                          Images images, Address backdrop, Address out) {
     nb::gil_scoped_release release;
-    composite(Queue{at<void>(stream)}, grid_composite<S>(size, count, rows, diffuse_row, images),
-              at<const S>(backdrop), at<S>(out));
+    composite(Queue{at<void>(stream)}, grid_composite<S>(size, count, pixels, tables, images), at<const S>(backdrop),
+              at<S>(out));
   });
   // grads: diffuse + radiance, object alpha, alpha.
-  m.def(("composite_bwd_" + type).c_str(), [](Address stream, Size size, int64_t count, Addresses rows,
-                                              int64_t diffuse_row, Images images, Address backdrop, Images v_image,
-                                              Addresses grads) {
+  m.def(("composite_bwd_" + type).c_str(), [](Address stream, Size size, int64_t count, Address pixels, Tables tables,
+                                              Images images, Address backdrop, Images v_image, Addresses grads) {
     nb::gil_scoped_release release;
-    composite_bwd(Queue{at<void>(stream)}, grid_composite<S>(size, count, rows, diffuse_row, images),
+    composite_bwd(Queue{at<void>(stream)}, grid_composite<S>(size, count, pixels, tables, images),
                   at<const S>(backdrop), image<S>(v_image[0]), at<S>(grads[0]), at<S>(grads[1]), at<S>(grads[2]));
   });
   // images: normal, depth, alpha; grads: of these three and working memory, or all 0; sums: parts, sum.
   m.def(("normal_agreement_" + type).c_str(), [](Address stream, Size size, Numbers numbers, Images images,
-                                                 double scale, Addresses grads, Addresses sums) {
+                                                 double scale, double edge, Addresses grads, Addresses sums) {
     nb::gil_scoped_release release;
     normal_agreement(Queue{at<void>(stream)},
                      Agreement<S>{grid_view<S>(size, numbers), image<S>(images[0]), image<S>(images[1]),
-                                  image<S>(images[2]), S(scale), at<S>(grads[0]), at<S>(grads[1]), at<S>(grads[2]),
-                                  at<S>(grads[3])},
-                     at<S>(sums[0]), at<S>(sums[1]));
+                                  image<S>(images[2]), S(scale), S(edge), at<S>(grads[0]), at<S>(grads[1]),
+                                  at<S>(grads[2])},
+                     at<S>(grads[3]), at<S>(sums[0]), at<S>(sums[1]));
   });
 }
 

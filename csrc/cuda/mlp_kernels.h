@@ -152,7 +152,7 @@ template <class S> struct MlpBackward {
       if (p < tile.points) {
         const int64_t at = (tile.begin + p) * f.shape.outputs + o;
         g = f.v_out[at];
-        if (f.points.has_exp) g = f.out[at] < f.largest ? g * f.out[at] : S(0);
+        if (f.points.has_exp) g = f.out[at] < f.largest || g > 0 ? g * f.out[at] : S(0);  // down, never up
       }
       to[o * kMlpSide + p] = g;
     }

@@ -30,11 +30,11 @@ void composite_bwd(const Queue& q, const Composite<S>& in, const S* backdrop, Im
 }
 
 template <class S, class Queue>
-void normal_agreement(const Queue& q, const Agreement<S>& in, S* parts, S* sum) {
+void normal_agreement(const Queue& q, const Agreement<S>& in, S* slopes, S* parts, S* sum) {
   const int64_t plane = int64_t(in.view.width) * in.view.height, blocks = blocks_for(plane, kAgreementThreads);
-  q.run(blocks, AgreeNormals<S>{in, parts});
+  q.run(blocks, AgreeNormals<S>{in, slopes, parts});
   q.run(1, SumRows<S>{parts, blocks, 1, sum});
-  if (in.scratch) q.run(blocks_for(plane, AgreeNormalsBwd<S>::kThreads), AgreeNormalsBwd<S>{in});
+  if (slopes) q.run(blocks_for(plane, AgreeNormalsBwd<S>::kThreads), AgreeNormalsBwd<S>{in, slopes});
 }
 
 #define REFDGS_SHADE(S, Queue)                                                                               \
@@ -43,6 +43,6 @@ void normal_agreement(const Queue& q, const Agreement<S>& in, S* parts, S* sum) 
                                              const MapGrads<S>&);                                            \
   template void composite<S, Queue>(const Queue&, const Composite<S>&, const S*, S*);                        \
   template void composite_bwd<S, Queue>(const Queue&, const Composite<S>&, const S*, Image<S>, S*, S*, S*);  \
-  template void normal_agreement<S, Queue>(const Queue&, const Agreement<S>&, S*, S*);
+  template void normal_agreement<S, Queue>(const Queue&, const Agreement<S>&, S*, S*, S*);
 
 }  // namespace refdgs::cuda

@@ -17,6 +17,9 @@ template <class S> REFDGS_KERNEL S pixel_of(const Image<S>& image, int64_t y, in
 template <class S> REFDGS_KERNEL Vec3<S> three_of(const Image<S>& image, int64_t y, int64_t x) {
   return {pixel_of(image, y, x, 0), pixel_of(image, y, x, 1), pixel_of(image, y, x, 2)};
 }
+template <class S> REFDGS_KERNEL S& row_of(const Rows<S>& rows, int64_t i, int c) {
+  return rows.data[i * rows.row + c * rows.column];
+}
 template <class S> REFDGS_KERNEL Vec3<S> ray_of(const View<S>& view, int64_t y, int64_t x) {  // camera, z = 1
   return {(S(x) + S(0.5) - view.cx) / view.fx, (S(y) + S(0.5) - view.cy) / view.fy, S(1)};
 }
@@ -36,13 +39,14 @@ template <class S> struct GatherInputs {
     if (i >= at.count) return;
     const int64_t y = at.pixels[i] / at.view.width, x = at.pixels[i] % at.view.width;
     const S whole = 1 / pixel_of(at.alpha, y, x, 0);
-    for (int c = 0; c < 4; ++c) out.carried[4 * i + c] = pixel_of(at.features, y, x, c) * whole;
+    for (int c = 0; c < 3; ++c) row_of(out.diffuse, i, c) = pixel_of(at.features, y, x, c) * whole;
+    row_of(out.roughness, i, 0) = pixel_of(at.features, y, x, 3) * whole;
     const MirrorAt<S> mirror = mirror_of(at, y, x);
     const Vec3<S> to = mirror.out.unit;
-    out.reflected[3 * i] = to.x, out.reflected[3 * i + 1] = to.y, out.reflected[3 * i + 2] = to.z;
-    out.cosine[i] = mirror.cosine();
+    row_of(out.reflected, i, 0) = to.x, row_of(out.reflected, i, 1) = to.y, row_of(out.reflected, i, 2) = to.z;
+    row_of(out.cosine, i, 0) = mirror.cosine();
     if (at.near.data)
-      for (int c = 0; c < 4; ++c) out.near[4 * i + c] = pixel_of(at.near, y, x, c);
+      for (int c = 0; c < 4; ++c) row_of(out.near, i, c) = pixel_of(at.near, y, x, c);
   }
 };
 
@@ -61,16 +65,16 @@ template <class S> struct GatherInputsBwd {
     const S whole = 1 / pixel_of(at.alpha, y, x, 0);
     S v_alpha = 0;
     for (int c = 0; c < 4; ++c) {
-      const S g = v.carried[4 * i + c] * whole;
+      const S g = (c < 3 ? row_of(v.diffuse, i, c) : row_of(v.roughness, i, 0)) * whole;
       grads.features[c * plane + p] = g;
       v_alpha -= g * pixel_of(at.features, y, x, c) * whole;
     }
     grads.alpha[p] = v_alpha;
-    const Vec3<S> v_out{v.reflected[3 * i], v.reflected[3 * i + 1], v.reflected[3 * i + 2]};
-    const Vec3<S> n = mirror_of(at, y, x).backward(v_out, v.cosine[i]);
+    const Vec3<S> v_out{row_of(v.reflected, i, 0), row_of(v.reflected, i, 1), row_of(v.reflected, i, 2)};
+    const Vec3<S> n = mirror_of(at, y, x).backward(v_out, row_of(v.cosine, i, 0));
     grads.normal[p] = n.x, grads.normal[plane + p] = n.y, grads.normal[2 * plane + p] = n.z;
     if (at.near.data)
-      for (int c = 0; c < 4; ++c) grads.near[c * plane + p] = v.near[4 * i + c];
+      for (int c = 0; c < 4; ++c) grads.near[c * plane + p] = row_of(v.near, i, c);
   }
 };
 
@@ -105,7 +109,7 @@ template <class S> struct ComposeObject {
     const int64_t plane = int64_t(in.width) * in.height, p = in.pixels[i];
     const S a = pixel_of(in.object_alpha, p / in.width, p % in.width, 0);
     for (int c = 0; c < 3; ++c)
-      image[c * plane + p] += a * srgb_curve(clipped_linear(in.diffuse[i * in.diffuse_row + c] + in.radiance[3 * i + c]));
+      image[c * plane + p] += a * srgb_curve(clipped_linear(row_of(in.diffuse, i, c) + row_of(in.radiance, i, c)));
   }
 };
 
@@ -141,9 +145,9 @@ template <class S> struct ComposeObjectBwd {
     const S a = pixel_of(in.object_alpha, y, x, 0);
     S v_a = 0;
     for (int c = 0; c < 3; ++c) {
-      const S linear = in.diffuse[i * in.diffuse_row + c] + in.radiance[3 * i + c], v = pixel_of(v_image, y, x, c);
+      const S linear = row_of(in.diffuse, i, c) + row_of(in.radiance, i, c), v = pixel_of(v_image, y, x, c);
       v_a += v * srgb_curve(clipped_linear(linear));
-      v_linear[3 * i + c] = srgb_vjp(linear, a * v);
+      v_linear[c * in.count + i] = srgb_vjp(linear, a * v);
     }
     v_object_alpha[p] = v_a;
   }
@@ -156,7 +160,7 @@ template <class S> struct AgreeNormals {
     S sums[kWarps];
   };
   Agreement<S> in;
-  S* parts;
+  S *slopes, *parts;
 
   template <class Thread> REFDGS_KERNEL void operator()(Thread& t, Shared& s) const {
     const int64_t width = in.view.width, height = in.view.height, plane = width * height;
@@ -184,15 +188,19 @@ template <class S> struct AgreeNormals {
     S parts_of[6] = {}, sum = 0;
     Vec3<S> v_normal{0, 0, 0};
     if (!border && weight != 0) {
-      const Vec3<S> down = point(y + 1, x) - point(y - 1, x), right = point(y, x + 1) - point(y, x - 1);
-      const NormalPair<S> pair(down, right, three_of(in.normal, y, x), in.view.world_from_cam, -in.scale * weight);
-      sum = weight * (1 - pair.agreement);
-      parts_of[0] = pair.v_down.x, parts_of[1] = pair.v_down.y, parts_of[2] = pair.v_down.z;
-      parts_of[3] = pair.v_right.x, parts_of[4] = pair.v_right.y, parts_of[5] = pair.v_right.z;
-      v_normal = pair.v_normal;
+      const Vec3<S> above = point(y - 1, x), below = point(y + 1, x), left = point(y, x - 1), next = point(y, x + 1);
+      const S here = point(y, x).z;
+      if (lies_on_a_surface(above.z, below.z, left.z, next.z, here, in.view.fx, in.edge)) {
+        const Vec3<S> splatted = three_of(in.normal, y, x);
+        const NormalPair<S> pair(below - above, next - left, splatted, in.view.world_from_cam, -in.scale * weight);
+        sum = weight * (1 - pair.agreement);
+        parts_of[0] = pair.v_down.x, parts_of[1] = pair.v_down.y, parts_of[2] = pair.v_down.z;
+        parts_of[3] = pair.v_right.x, parts_of[4] = pair.v_right.y, parts_of[5] = pair.v_right.z;
+        v_normal = pair.v_normal;
+      }
     }
-    if (!in.scratch) return sum;
-    for (int k = 0; k < 6; ++k) in.scratch[k * plane + p] = parts_of[k];
+    if (!slopes) return sum;
+    for (int k = 0; k < 6; ++k) slopes[k * plane + p] = parts_of[k];
     in.v_normal[p] = v_normal.x, in.v_normal[plane + p] = v_normal.y, in.v_normal[2 * plane + p] = v_normal.z;
     return sum;
   }
@@ -203,6 +211,7 @@ template <class S> struct AgreeNormalsBwd {
   static constexpr int kThreads = 256;
   using Shared = Nothing;
   Agreement<S> in;
+  const S* slopes;
 
   template <class Thread> REFDGS_KERNEL void operator()(Thread& t, Shared&) const {
     const int64_t width = in.view.width, height = in.view.height, plane = width * height;
@@ -210,7 +219,7 @@ template <class S> struct AgreeNormalsBwd {
     if (p >= plane) return;
     const auto part = [&](int64_t yy, int64_t xx, int first) -> Vec3<S> {
       if (yy < 0 || xx < 0 || yy >= height || xx >= width) return {0, 0, 0};
-      const S* from = in.scratch + first * plane + yy * width + xx;
+      const S* from = slopes + first * plane + yy * width + xx;
       return {from[0], from[plane], from[2 * plane]};
     };
     const Vec3<S> v = part(y - 1, x, 0) - part(y + 1, x, 0) + part(y, x - 1, 3) - part(y, x + 1, 3);

@@ -1,5 +1,5 @@
-// The deferred shading of one pixel around the shader's network, and its way back: the formulas of ops/shade.cpp for
-// any device.
+// The deferred shading of one pixel around the shader's network, and its way back: the scalar form of what
+// ops/shade.inl does on vectors of pixels.
 #pragma once
 #include <cstdint>
 
@@ -44,6 +44,12 @@ template <class S> REFDGS_HD S srgb_vjp(S linear, S g_image) {
   const S q = clipped_linear(linear);
   const S slope = q <= S(0.0031308) ? S(12.92) : (srgb_curve(q) + S(0.055)) / (S(2.4) * q), g = g_image * slope;
   return linear < S(1e-6) || (linear > 1 && g < 0) ? S(0) : g;
+}
+
+// Whether the depth's second differences are below `edge` footprints of a pixel, as within one surface.
+template <class S> REFDGS_HD bool lies_on_a_surface(S above, S below, S left, S right, S here, S fx, S edge) {
+  const S vertical = std::fabs(above + below - 2 * here), horizontal = std::fabs(left + right - 2 * here);
+  return (vertical < horizontal ? horizontal : vertical) * fx < edge * here;
 }
 
 // n . n_depth at a pixel from its four neighbours' points; gradients of scale times weight (1 - it).

@@ -3,6 +3,7 @@
 #include "image_loss.h"
 #include "mlp.h"
 #include "raster.h"
+#include "shade.h"
 #include "sph_mip.h"
 
 namespace refdgs {
@@ -15,15 +16,20 @@ struct Kernels {
   LossKernel<float> loss_band;
   SphMipKernels<float> sph_mip;
   MlpKernels<float> mlp;
+  ShadeKernels<float> shade;
 };
 
-// REFDGS_ISA=baseline|avx2|avx512 caps the choice, for tests.
+// REFDGS_ISA=baseline|avx2|avx512|avx512bf16 caps the choice, for tests.
 const Kernels& kernels();
+
+// The network with products of bfloat16 numbers; null where the CPU has none.
+const MlpKernels<float>* half_products();
 
 // Double precision exists once, portable: it proves gradients, it is not fast.
 RasterKernels<double> raster_kernels_double(int channels, Extra extra);
 void loss_band_double(const LossFrame<double>& frame, int channel, int band, double* scratch, double* sums);
 SphMipKernels<double> sph_mip_kernels_double();
 MlpKernels<double> mlp_kernels_double();
+const ShadeKernels<double>& shade_kernels_double();
 
 }  // namespace refdgs

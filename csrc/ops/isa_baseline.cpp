@@ -17,11 +17,12 @@ namespace {
 #include "image_loss.inl"
 #include "mlp.inl"
 #include "rasterize.inl"
+#include "shade.inl"
 #include "sph_mip.inl"
 }  // namespace
 extern const Kernels kernels;
 const Kernels kernels = {"baseline", LANES, raster_kernels<float>, loss_band<float>, sph_mip_kernels<float>(),
-                         mlp_kernels<float>()};
+                         mlp_kernels<float>(), shade_kernels<float>()};
 }  // namespace baseline
 RasterKernels<double> raster_kernels_double(int channels, Extra extra) {
   return baseline::raster_kernels<double>(channels, extra);
@@ -31,4 +32,8 @@ void loss_band_double(const LossFrame<double>& frame, int channel, int band, dou
 }
 SphMipKernels<double> sph_mip_kernels_double() { return baseline::sph_mip_kernels<double>(); }
 MlpKernels<double> mlp_kernels_double() { return baseline::mlp_kernels<double>(); }
+const ShadeKernels<double>& shade_kernels_double() {
+  static const ShadeKernels<double> kernels = baseline::shade_kernels<double>();
+  return kernels;
+}
 }  // namespace refdgs

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <vector>
 
+#include "buffer.h"
 #include "dispatch.h"
 #include "parallel.h"
 
@@ -13,20 +14,13 @@ namespace {
 
 constexpr int64_t kChunk = 2048;  // points whose weight gradients are summed together, whatever the threads
 
-MlpKernels<float> point_kernels(float) { return kernels().mlp; }
-MlpKernels<double> point_kernels(double) { return mlp_kernels_double(); }
+MlpKernels<float> point_kernels(float, bool half) {
+  const MlpKernels<float>* products = half ? half_products() : nullptr;
+  return products ? *products : kernels().mlp;
+}
+MlpKernels<double> point_kernels(double, bool) { return mlp_kernels_double(); }
 
 int64_t padded(int64_t n) { return (n + kMlpColumns - 1) / kMlpColumns * kMlpColumns; }
-
-// Memory aligned to a cache line.
-template <class S> struct Buffer {
-  std::vector<S> memory;
-  S* data = nullptr;
-  void make(int64_t size) {
-    memory.assign(size_t(size) + 64 / sizeof(S), S(0));
-    data = reinterpret_cast<S*>((reinterpret_cast<uintptr_t>(memory.data()) + 63) / 64 * 64);
-  }
-};
 
 struct Sizes {
   int inputs, outputs;  // of a layer, in torch's layout
@@ -95,7 +89,7 @@ template <class S, class F> void each_chunk(int64_t count, int threads, F&& body
   std::vector<Buffer<S>> scratch(size_t(std::max(1, threads)));
   parallel_for_dynamic((count + kChunk - 1) / kChunk, threads, [&](int64_t chunk, int thread) {
     Buffer<S>& mine = scratch[size_t(thread)];
-    if (!mine.data) mine.make(kMlpScratch);
+    if (!mine.data) mine.make(kMlpHalfScratch);
     body(chunk, chunk * kChunk, std::min(count, (chunk + 1) * kChunk), mine.data);
   });
 }
@@ -107,7 +101,7 @@ void mlp(const MlpShape& shape, const MlpPoints<S>& points, const MlpParameters<
   Buffer<S> memory;
   MlpFrame<S> frame = make_frame(shape, points, net, memory);
   frame.out = out;
-  const auto run = point_kernels(S(0)).forward;
+  const auto run = point_kernels(S(0), points.half).forward;
   each_chunk<S>(points.count, threads,
                 [&](int64_t, int64_t begin, int64_t end, S* scratch) { run(frame, begin, end, scratch); });
 }
@@ -121,7 +115,7 @@ void mlp_bwd(const MlpShape& shape, const MlpPoints<S>& points, const MlpParamet
   const int64_t chunks = std::max<int64_t>(1, (points.count + kChunk - 1) / kChunk);
   const int64_t size = place_grads<S>(shape, nullptr, nullptr);
   sums.make(chunks * size);
-  const auto run = point_kernels(S(0)).backward;
+  const auto run = point_kernels(S(0), points.half).backward;
   each_chunk<S>(points.count, threads, [&](int64_t chunk, int64_t begin, int64_t end, S* scratch) {
     MlpGrads<S> grads;
     place_grads(shape, sums.data + chunk * size, &grads);

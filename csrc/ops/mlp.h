@@ -36,9 +36,12 @@ template <class S> struct MlpFrame {
   S* v_x;               // [points][inputs], may be null
 };
 
-// Scalars of a thread's working memory, which must be aligned to 64 bytes.
+// Scalars of a thread's working memory, which must be aligned to 64 bytes: of the exact kernels, and of
+// those with bfloat16 products, which need room for as many pairs beside it.
 constexpr int64_t kMlpScratch =
     int64_t(kMlpBlock) * (kMlpInputs + kHidden * (kMlpHiddenLayers + 2) + kMlpColumns + kMlpInputs);
+constexpr int64_t kMlpPairs = int64_t(kMlpBlock) * kHidden / 2;  // of a block's values, or a layer's weights
+constexpr int64_t kMlpHalfScratch = kMlpScratch + (4 * kMlpHiddenLayers + 4) * kMlpPairs;
 
 // Gradients of all layers' weights and biases in one run, laid out as MlpLayer's `weights` and `bias`.
 template <class S> struct MlpGrads {
@@ -62,8 +65,10 @@ template <class S> struct MlpPoints {
   int64_t x_row, x_column;
   bool has_exp;
   double cap;
+  bool half;
 };
 
+// With points.half, float products are of bfloat16 numbers where the CPU has such (`half_products`).
 template <class S>
 void mlp(const MlpShape& shape, const MlpPoints<S>& points, const MlpParameters<const S>& net, int threads, S* out);
 template <class S>

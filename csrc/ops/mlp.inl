@@ -51,16 +51,39 @@ template <class S> struct MlpBlock {
   }
 };
 
+template <class S> void mlp_read_inputs(const MlpFrame<S>& f, int64_t begin, const MlpBlock<S>& block) {
+  const int padded = f.layer[0].input_stride, inputs = f.shape.inputs;
+  __builtin_memset(block.x, 0, size_t(block.rows) * padded * sizeof(S));
+  for (int i = 0; i < block.points; ++i) {
+    const S* from = f.x + (begin + i) * f.x_row;
+    S* to = block.x + i * padded;
+    if (f.x_column == 1)
+      for (int c = 0; c < inputs; ++c) to[c] = from[c];
+    else
+      for (int c = 0; c < inputs; ++c) to[c] = from[c * f.x_column];
+  }
+}
+
+// From rows of kMlpColumns in block.out.
+template <class S> void mlp_write_outputs(const MlpFrame<S>& f, int64_t begin, const MlpBlock<S>& block) {
+  using vf = typename Simd<S>::vf;
+  const int width = f.shape.outputs;
+  alignas(64) S flat[kMlpBlock * kMlpOutputs] = {};
+  for (int i = 0; i < block.points; ++i)
+    for (int c = 0; c < width; ++c) flat[i * width + c] = block.out[i * kMlpColumns + c];
+  const int numbers = block.points * width;
+  for (int i = 0; f.has_exp && i < numbers; i += LANES) {
+    const vf y = load(flat + i);
+    store(flat + i, y == y ? f.largest * exp_of(min_of(vf{}, y - f.cap)) : y);  // a NaN stays one
+  }
+  __builtin_memcpy(f.out + begin * width, flat, size_t(numbers) * sizeof(S));
+}
+
 template <class S> void mlp_hidden(const MlpFrame<S>& f, int64_t begin, const MlpBlock<S>& block) {
   using vf = typename Simd<S>::vf;
-  const int padded = f.layer[0].input_stride;
-  for (int i = 0; i < block.rows; ++i)
-    for (int c = 0; c < padded; ++c) {
-      const bool inside = i < block.points && c < f.shape.inputs;
-      block.x[i * padded + c] = inside ? f.x[(begin + i) * f.x_row + c * f.x_column] : S(0);
-    }
+  mlp_read_inputs(f, begin, block);
   const S* in = block.x;
-  int64_t in_row = padded;
+  int64_t in_row = f.layer[0].input_stride;
   for (int l = 0; l < f.shape.hidden_layers; ++l) {
     const MlpLayer<S>& layer = f.layer[l];
     S* out = block.hidden[l];
@@ -75,7 +98,6 @@ template <class S> void mlp_hidden(const MlpFrame<S>& f, int64_t begin, const Ml
 
 template <class S> void mlp_forward(const MlpFrame<S>& f, int64_t begin, int64_t end, S* scratch) {
   using vf = typename Simd<S>::vf;
-  const int width = f.shape.outputs;
   const MlpLayer<S>& last = f.layer[f.shape.hidden_layers];
   for (; begin < end; begin += kMlpBlock) {
     const MlpBlock<S> block(begin, end, scratch);
@@ -84,15 +106,7 @@ template <class S> void mlp_forward(const MlpFrame<S>& f, int64_t begin, int64_t
         block.rows, kMlpOutputs, kHidden, Operand<S>{block.hidden[f.shape.hidden_layers - 1], kHidden, 1},
         last.transposed, last.stride, [&](int, int column) { return load(last.bias + column); },
         [&](int row, int column, vf y) { store(block.out + row * kMlpColumns + column, y); });
-    alignas(64) S flat[kMlpBlock * kMlpOutputs] = {};
-    for (int i = 0; i < block.points; ++i)
-      for (int c = 0; c < width; ++c) flat[i * width + c] = block.out[i * kMlpColumns + c];
-    const int numbers = block.points * width;
-    for (int i = 0; f.has_exp && i < numbers; i += LANES) {
-      const vf y = load(flat + i);
-      store(flat + i, y == y ? f.largest * exp_of(min_of(vf{}, y - f.cap)) : y);  // a NaN stays one
-    }
-    __builtin_memcpy(f.out + begin * width, flat, size_t(numbers) * sizeof(S));
+    mlp_write_outputs(f, begin, block);
   }
 }
 
@@ -105,7 +119,7 @@ template <class S> void mlp_end_vjp(const MlpFrame<S>& f, int64_t begin, const M
       if (i < block.points && c < width) {
         const int64_t at = (begin + i) * width + c;
         g = f.v_out[at];
-        if (f.has_exp) g = f.out[at] < f.largest ? g * f.out[at] : S(0);
+        if (f.has_exp) g = f.out[at] < f.largest || g > 0 ? g * f.out[at] : S(0);  // down, never up
       }
       block.out[i * kMlpOutputs + c] = g;
     }
@@ -132,6 +146,12 @@ void mlp_weights_vjp(const MlpLayer<S>& layer, int rows, const S* g, const S* in
   }
 }
 
+template <class S> void mlp_write_input_grads(const MlpFrame<S>& f, int64_t begin, const MlpBlock<S>& block) {
+  const int stride = f.layer[0].input_stride;
+  for (int i = 0; i < block.points; ++i)
+    for (int c = 0; c < f.shape.inputs; ++c) f.v_x[(begin + i) * f.shape.inputs + c] = block.v_x[i * stride + c];
+}
+
 template <class S> void mlp_inputs_vjp(const MlpFrame<S>& f, int64_t begin, const MlpBlock<S>& block, const S* g) {
   using vf = typename Simd<S>::vf;
   const MlpLayer<S>& layer = f.layer[0];
@@ -139,8 +159,7 @@ template <class S> void mlp_inputs_vjp(const MlpFrame<S>& f, int64_t begin, cons
   product<S, 8, 1>(
       block.rows, stride, kHidden, Operand<S>{g, kHidden, 1}, layer.weights, stride, [](int, int) { return vf{}; },
       [&](int row, int column, vf y) { store(block.v_x + row * stride + column, y); });
-  for (int i = 0; i < block.points; ++i)
-    for (int c = 0; c < f.shape.inputs; ++c) f.v_x[(begin + i) * f.shape.inputs + c] = block.v_x[i * stride + c];
+  mlp_write_input_grads(f, begin, block);
 }
 
 template <class S>

@@ -36,8 +36,9 @@ template <class S> struct RasterFrame {
 template <class S> struct RasterKernels {
   // Expects activity to be zero.
   void (*forward)(const RasterFrame<S>&, int tile, S* maps);
-  // slots: [slots][kGradHead + channels]; left alone where there is no activity.
-  void (*backward)(const RasterFrame<S>&, int tile, const S* maps, const S* v_maps, S* slots);
+  // v_maps: where each plane's gradient is, null for zero; slots: [slots][kGradHead + channels]; left alone
+  // where there is no activity.
+  void (*backward)(const RasterFrame<S>&, int tile, const S* maps, const S* const* v_maps, S* slots);
 };
 
 }  // namespace refdgs

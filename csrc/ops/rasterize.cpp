@@ -176,7 +176,7 @@ void Raster<S>::reduce(const Surfels<S>& in, const SurfelGrads<S>& out, int64_t 
 }
 
 template <class S>
-void Raster<S>::backward(const Surfels<S>& in, const S* maps, const S* v_maps, const SurfelGrads<S>& out) {
+void Raster<S>::backward(const Surfels<S>& in, const S* maps, const S* const* v_maps, const SurfelGrads<S>& out) {
   fit(slots_, int64_t(entries_.size()) * (kGradHead + channels_));
   const auto replay = tile_kernels(S(0), channels_, options_.extra).backward;
   const RasterFrame<S> f = frame();

@@ -42,7 +42,8 @@ template <class S> class Raster {
  public:
   // maps: planar, [planes()][H][W]; radii: (N) pixels, 0 where nothing is drawn.
   void forward(const Surfels<S>& surfels, const Pinhole<S>& cam, const RasterOptions& options, S* maps, S* radii);
-  void backward(const Surfels<S>& surfels, const S* maps, const S* v_maps, const SurfelGrads<S>& grads);
+  // v_maps: where each plane's gradient is, null for zero.
+  void backward(const Surfels<S>& surfels, const S* maps, const S* const* v_maps, const SurfelGrads<S>& grads);
 
   // Planes of the maps: padded channels, alpha, and the extras.
   static int padded(int channels, bool normals) { return (channels + (normals ? 3 : 0) + 3) / 4 * 4; }

@@ -149,13 +149,12 @@ template <class S, class F> inline void store_plane(const RasterFrame<S>& f, int
         for (int i = 0; i < left; ++i) to[i] = from[i];
     }
 }
-// The reverse, zeros outside the image; fetches the plane after the next on the way.
+// The reverse, zeros outside the image.
 template <class S, class F> inline void load_plane(const RasterFrame<S>& f, int tx, int ty, const S* plane, F&& lanes) {
   for (int row = 0; row < kTile; ++row)
     for (int column = 0; column < kBlocksX; ++column) {
       S* to = lanes(row / kBlockH * kBlocksX + column) + row % kBlockH * kBlockW;
       const S* from = plane + int64_t(ty + row) * f.width + tx + column * kBlockW;
-      if (column == 0) __builtin_prefetch(from + 2 * int64_t(f.width) * f.height);
       const int left = ty + row < f.height ? f.width - tx - column * kBlockW : 0;
       if (left >= kBlockW)
         __builtin_memcpy(to, from, kBlockW * sizeof(S));
@@ -240,7 +239,7 @@ template <class S, int C, int X> struct Replay {
   alignas(64) S g[kBlocks][planes_of(C, X)][LANES], T[kBlocks][LANES], R[kBlocks][LANES];
   alignas(64) S M[kBlocks][X >= 2 ? 3 : 1][LANES];
 
-  void load_tile(const RasterFrame<S>& f, int tx, int ty, const S* maps, const S* v_maps) {
+  void load_tile(const RasterFrame<S>& f, int tx, int ty, const S* maps, const S* const* v_maps) {
     const int64_t plane = int64_t(f.width) * f.height;
     alignas(64) S map[kBlocks][LANES];
     for (int block = 0; block < kBlocks; ++block) {
@@ -248,7 +247,11 @@ template <class S, int C, int X> struct Replay {
       store(R[block], all(S(0)));
     }
     for (int c = 0; c < planes_of(C, X); ++c) {
-      load_plane(f, tx, ty, v_maps + c * plane, [&](int block) { return g[block][c]; });
+      if (!v_maps[c]) {
+        for (int block = 0; block < kBlocks; ++block) store(g[block][c], all(S(0)));
+        continue;
+      }
+      load_plane(f, tx, ty, v_maps[c], [&](int block) { return g[block][c]; });
       if (c == C + 2) continue;  // the median's gradient does not pass through weights
       load_plane(f, tx, ty, maps + c * plane, [&](int block) { return map[block]; });
       for (int block = 0; block < kBlocks; ++block)
@@ -322,7 +325,7 @@ inline __attribute__((always_inline)) void replay(S near, const S* r, typename S
 }
 
 template <class S, int C, int X>
-void backward_tile(const RasterFrame<S>& f, int tile, const S* maps, const S* v_maps, S* slots) {
+void backward_tile(const RasterFrame<S>& f, int tile, const S* maps, const S* const* v_maps, S* slots) {
   using vf = typename Simd<S>::vf;
   static const Lanes<S> lanes;
   constexpr int width = kGradHead + C, ahead = 6;

@@ -73,27 +73,6 @@ class SurfelField:
     shader: ShaderModel
     near: float
 
-    # Shortcuts for the splat export.
-    @property
-    def means(self) -> F32:
-        return self.geometry.means
-
-    @property
-    def quats(self) -> F32:
-        return self.geometry.quats
-
-    @property
-    def scales(self) -> F32:
-        return self.geometry.scales
-
-    @property
-    def opacities(self) -> F32:
-        return self.geometry.opacities
-
-    @property
-    def diffuse(self) -> F32:
-        return self.geometry.values["diffuse"]
-
     def save(self, folder: Path) -> None:
         from safetensors.numpy import save_file
 

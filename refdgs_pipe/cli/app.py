@@ -12,11 +12,11 @@ import typer
 
 from refdgs_pipe import __version__, recipe
 from refdgs_pipe.cli import workspace as spaces
-from refdgs_pipe.cli.console import duration, size
 from refdgs_pipe.cli.device import bytes_of
 from refdgs_pipe.cli.running import Options, make, settings_json, steps_json
 from refdgs_pipe.cli.workspace import Memory, Workspace
 from refdgs_pipe.errors import Cancelled, InputError, RefdgsError
+from refdgs_pipe.wording import duration, size
 
 HELP = "Photos of a glossy object in, a textured GLB and USDZ out."
 
@@ -133,7 +133,7 @@ def status_command(
     space = spaces.open_workspace(workspace, memory)
     steps = space.status()
     if as_json:
-        photos = [str(path) for path in memory.photos]
+        photos = [str(p) for p in memory.photos]
         head = {"workspace": str(workspace), "photos": photos, "recipe": memory.recipe}
         _print_json(head | {"set": memory.assignments, "stages": steps_json(steps, space)})
         return
@@ -157,7 +157,7 @@ def clean_command(workspace: Folder, dry_run: DryRun = False, as_json: Json = Fa
     space = spaces.open_workspace(workspace)
     mark = space.fingerprint()
     paths = space.pipeline.unused(mark, space.settings)
-    sizes = {str(path): _weight(path) for path in paths}
+    sizes = {str(path): spaces.weight(path) for path in paths}
     if not dry_run:
         space.pipeline.clean(mark, space.settings)
     if as_json:
@@ -234,6 +234,19 @@ def eval_command(
         _print_json(record)
     else:
         print(describe(record))
+
+
+@app.command("report")
+def report_command(
+    workspace: Folder,
+    out: Annotated[Path | None, typer.Option("--out", help="another file", metavar="FILE")] = None,
+    threads: Threads = 0,
+) -> None:
+    """Write WORKSPACE/report.html: photos, cameras, training, views, mesh, scores, 3D view."""
+    from refdgs_pipe.cli import report
+
+    space = spaces.open_workspace(workspace)
+    print(report.write(space, out, threads=threads))
 
 
 @app.command("bench")
@@ -378,11 +391,6 @@ def _print_plan(space: Workspace, until: str | None, again: set[str], as_json: b
     for step in steps:
         asked = step.stage.name in again and step.manifest
         print(f"{step.stage.name:9} {'asked for again' if asked else step.reason}")
-
-
-def _weight(path: Path) -> int:
-    files = [path] if path.is_file() else [file for file in path.rglob("*") if file.is_file()]
-    return sum(file.stat().st_size for file in files)
 
 
 def _print_json(record: Any) -> None:

@@ -13,7 +13,6 @@ from typing import TypeVar
 
 from refdgs_pipe.cli import workspace as spaces
 from refdgs_pipe.cli.bench_table import Row, figures_of, read_rows, write_tables
-from refdgs_pipe.cli.console import duration
 from refdgs_pipe.cli.device import choose_device
 from refdgs_pipe.cli.running import Options, bring_up_to
 from refdgs_pipe.cli.signals import Stopper
@@ -21,6 +20,7 @@ from refdgs_pipe.cli.workspace import Memory, Workspace
 from refdgs_pipe.errors import Cancelled, InputError, RefdgsError
 from refdgs_pipe.pipeline.events import Event, Finished, Started
 from refdgs_pipe.pipeline.store import Store
+from refdgs_pipe.wording import duration
 
 SCORED = "evaluate"  # the last stage that a cell needs
 SEED = "train.seed"

@@ -17,6 +17,7 @@ from refdgs_pipe.pipeline.events import (
     Started,
     Warned,
 )
+from refdgs_pipe.wording import duration, figure
 
 WINDOW_S = 30.0  # how far back the speed of a stage is measured
 FIRST_LINE_S, LINE_S = 10.0, 30.0  # plain progress lines: the first, then one every so often
@@ -149,35 +150,6 @@ class Console:
         if self._bar is not None and self._task is not None:
             self._bar.remove_task(self._task)
             self._task = None
-
-
-def duration(seconds: float) -> str:
-    """Seconds in words: 0.4 s, 12 s, 3 min 20 s, 2 h 5 min."""
-    if seconds < 9.95:
-        return f"{seconds:.1f} s"
-    whole = round(seconds)
-    if whole < 60:
-        return f"{whole} s"
-    if whole < 3600:
-        return f"{whole // 60} min {whole % 60} s" if whole % 60 else f"{whole // 60} min"
-    return f"{whole // 3600} h {whole % 3600 // 60} min"
-
-
-def size(count: int) -> str:
-    """Bytes in words: 512 B, 3.2 MB."""
-    if count < 1000:
-        return f"{count} B"
-    value, unit = count / 1000, "kB"
-    for bigger in ("MB", "GB", "TB"):
-        if value < 999.5:
-            break
-        value, unit = value / 1000, bigger
-    return f"{value:.1f} {unit}"
-
-
-def figure(value: float | int | str) -> str:
-    """A measured value, with the digits that matter."""
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def _make_bar() -> Any:

@@ -8,16 +8,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from refdgs_pipe.cli.console import Console, duration, figure, size
+from refdgs_pipe.cli import report
+from refdgs_pipe.cli.console import Console
 from refdgs_pipe.cli.device import choose_device, core_count
 from refdgs_pipe.cli.logs import RunLog
 from refdgs_pipe.cli.signals import Stopper
-from refdgs_pipe.cli.workspace import Workspace
-from refdgs_pipe.errors import Cancelled
+from refdgs_pipe.cli.workspace import Workspace, is_workspace
+from refdgs_pipe.errors import Cancelled, RefdgsError, WorkspaceBusy, WriteError
 from refdgs_pipe.pipeline.catalog import PUBLISHED
 from refdgs_pipe.pipeline.events import Emit, Event, Finished
 from refdgs_pipe.pipeline.plan import Step
 from refdgs_pipe.pipeline.runner import Request, run
+from refdgs_pipe.wording import duration, figure, size
 
 DEGRADED = 3  # exit code of --strict when there were warnings
 
@@ -43,9 +45,19 @@ def make(workspace: Workspace, options: Options) -> int:
         RefdgsError: what went wrong, in words.
     """
     start = time.monotonic()
-    steps, made = bring_up_to(workspace, options)
+    try:
+        steps, made = bring_up_to(workspace, options)
+    except (Cancelled, WorkspaceBusy, WriteError):
+        raise
+    except RefdgsError:
+        if is_workspace(workspace.root):
+            report.write_if_possible(workspace, threads=options.threads)
+        raise
     seconds = time.monotonic() - start
-    record = _record(workspace, steps, made, seconds)
+    if options.verbosity:
+        print("report: drawing", file=sys.stderr)
+    page = report.write_if_possible(workspace, threads=options.threads)
+    record = _record(workspace, steps, made, seconds) | {"report": page and str(page)}
     if options.json:
         _print_json(record)
     else:
@@ -194,6 +206,8 @@ def _print_summary(
             print(f"{len(record['warnings'])} warnings: see above or `status`", file=sys.stderr)
         took = f"in {duration(record['seconds'])}" if made else "everything was up to date"
         print(f"finished, {took}", file=sys.stderr)
+        if record["report"]:
+            print(f"report: {record['report']}", file=sys.stderr)
     if record["asset"]:
         print(record["asset"])
 

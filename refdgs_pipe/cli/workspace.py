@@ -141,8 +141,17 @@ def open_workspace(root: Path, memory: Memory | None = None) -> Workspace:
     pipeline = catalog.build(Store(root))
     models = {stage.name: stage.params for stage in pipeline.stages}
     settings = recipe.resolve(recipe.load(memory.recipe), memory.assignments, models)
+    settings = _with_recipe_name(settings, memory.recipe)
     make: Any = pipeline.source
     return Workspace(root, memory, pipeline, make(paths=memory.photos), settings)
+
+
+def _with_recipe_name(settings: dict[str, Params], name: str) -> dict[str, Params]:
+    """The exported files name the recipe that they were made by, unless told another name."""
+    params = settings.get("export")
+    if params is None or getattr(params, "recipe", None) != "":
+        return settings
+    return settings | {"export": params.model_copy(update={"recipe": Path(name).stem})}
 
 
 def remembered(root: Path, name: str | None, assignments: Sequence[str]) -> Memory:
@@ -165,6 +174,12 @@ def absolute_recipe(name: str) -> str:
 def absolute(path: Path) -> Path:
     """The path from the root of the file system; links in it stay what they are."""
     return Path(os.path.normpath(Path.cwd() / path))
+
+
+def weight(path: Path) -> int:
+    """The bytes of a file, or of all files in a folder."""
+    files = [path] if path.is_file() else [file for file in path.rglob("*") if file.is_file()]
+    return sum(file.stat().st_size for file in files)
 
 
 def _note(path: Path, root: Path) -> list[str]:

@@ -15,11 +15,11 @@ _VERTICES, _INDICES = 34962, 34963  # bufferView.target
 _CLAMP, _LINEAR, _MIPMAPS = 33071, 9729, 9987
 
 
-def write_glb(path: Path, product: Product, *, generator: str, extras: dict[str, Any]) -> None:
-    """Write the product as a GLB.
+def write_glb(path: Path, product: Product, *, generator: str) -> None:
+    """Write the product as a GLB; what it is to say about itself goes to `asset.extras`.
 
     Args:
-        generator: the tool and its version; extras: JSON kept in `asset.extras`.
+        generator: the tool and its version.
     """
     chunk = _Chunk()
     indices = product.faces.reshape(-1)
@@ -41,7 +41,7 @@ def write_glb(path: Path, product: Product, *, generator: str, extras: dict[str,
     ]
     primitive = {"attributes": attributes, "indices": faces, "material": 0, "mode": 4}
     document = {
-        "asset": {"version": "2.0", "generator": generator, "extras": extras},
+        "asset": {"version": "2.0", "generator": generator, "extras": product.about},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [{"name": "object", "mesh": 0}],
@@ -56,7 +56,7 @@ def write_glb(path: Path, product: Product, *, generator: str, extras: dict[str,
         "bufferViews": chunk.views,
         "buffers": [{"byteLength": len(chunk.data)}],
     }
-    text = json.dumps(document, separators=(",", ":")).encode()
+    text = json.dumps(document, separators=(",", ":"), ensure_ascii=False).encode()
     text += b" " * (-len(text) % 4)
     total = 12 + 8 + len(text) + 8 + len(chunk.data)
     with path.open("wb") as file:

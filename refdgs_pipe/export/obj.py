@@ -10,7 +10,8 @@ from refdgs_pipe.export.product import Product
 def write_obj(path: Path, product: Product, *, textures: str) -> None:
     """Write PATH and, beside it, its .mtl; `textures` is the folder of the pictures from there."""
     material = path.with_suffix(".mtl")
-    lines = [f"mtllib {material.name}", "o object"]
+    lines = [f"# {key}: {_one_line(value)}" for key, value in product.about.items()]
+    lines += [f"mtllib {material.name}", "o object"]
     lines += [f"v {x:.7g} {y:.7g} {z:.7g}" for x, y, z in product.vertices.tolist()]
     # OBJ has v upwards.
     lines += [f"vt {u:.7g} {1 - v:.7g}" for u, v in product.uv.tolist()]
@@ -18,7 +19,7 @@ def write_obj(path: Path, product: Product, *, textures: str) -> None:
     lines.append("usemtl surface")
     one_based = (product.faces.astype(np.int64) + 1).tolist()
     lines += [f"f {a}/{a}/{a} {b}/{b}/{b} {c}/{c}/{c}" for a, b, c in one_based]
-    path.write_text("\n".join(lines) + "\n")
+    path.write_text("\n".join(lines) + "\n", "utf-8")
     material.write_text(
         "newmtl surface\n"
         "Kd 1 1 1\n"
@@ -29,3 +30,9 @@ def write_obj(path: Path, product: Product, *, textures: str) -> None:
         f"map_Pm {textures}/metallic.png\n"
         f"norm {textures}/normal.png\n"
     )
+
+
+def _one_line(value: str | float | list[str]) -> str:
+    """A value as a comment can hold it."""
+    text = ", ".join(value) if isinstance(value, list) else str(value)
+    return " ".join(text.splitlines())

@@ -1,5 +1,7 @@
 """A picture of the product from three sides, in a simple studio: what it will look like in use."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -7,6 +9,7 @@ from refdgs_pipe.color import linear_from_srgb, srgb_from_linear
 from refdgs_pipe.export.product import Product
 
 F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
 
 _AZIMUTHS_DEG = (30.0, 150.0, 270.0)
@@ -23,6 +26,21 @@ _BOXES = (
 )
 
 
+@dataclass(frozen=True)
+class Hits:
+    """The rays that met the object.
+
+    Args:
+        pixels: (N,) which rays; face: (N,) what they met; weights: (N, 3) of its corners.
+        distance: (N,) along the rays, metres.
+    """
+
+    pixels: NDArray[np.int64]
+    face: NDArray[np.uint32]
+    weights: F32
+    distance: F32
+
+
 def render_preview(product: Product, *, side: int = 480) -> U8:
     """(side, 3 * side, 3) sRGB picture: three views, evenly around the object."""
     import cv2
@@ -36,6 +54,15 @@ def render_preview(product: Product, *, side: int = 480) -> U8:
 
 def _view(product: Product, azimuth: float, side: int) -> F32:
     """(side, side, 3) linear picture of one view."""
+    origin, rays = rays_around(product, azimuth, side)
+    hits = cast(product, origin, rays)
+    backdrop = linear_from_srgb(np.full((side * side, 3), _BACKDROP, np.float32))
+    backdrop[hits.pixels] = shade(product, hits, -rays[hits.pixels])
+    return backdrop.reshape(side, side, 3)
+
+
+def cast(product: Product, origin: F32, rays: F32) -> Hits:
+    """What unit rays (N, 3) from one point meet first."""
     import open3d as o3d
 
     scene = o3d.t.geometry.RaycastingScene()
@@ -43,32 +70,41 @@ def _view(product: Product, azimuth: float, side: int) -> F32:
         o3d.core.Tensor.from_numpy(product.vertices),
         o3d.core.Tensor.from_numpy(product.faces.astype(np.uint32)),
     )
-    origin, rays = _rays(product, azimuth, side)
-    cast = np.concatenate([np.broadcast_to(origin, rays.shape), rays], 1).astype(np.float32)
-    hits = scene.cast_rays(o3d.core.Tensor.from_numpy(cast))
-    face = hits["primitive_ids"].numpy()
-    hit = np.flatnonzero(np.isfinite(hits["t_hit"].numpy()))
-    b, c = hits["primitive_uvs"].numpy()[hit].T
+    both = np.concatenate([np.broadcast_to(origin, rays.shape), rays], 1).astype(np.float32)
+    found = scene.cast_rays(o3d.core.Tensor.from_numpy(both))
+    distance = found["t_hit"].numpy()
+    pixels = np.flatnonzero(np.isfinite(distance))
+    b, c = found["primitive_uvs"].numpy()[pixels].T
     weights = np.stack([1 - b - c, b, c], 1).astype(np.float32)
-    backdrop = linear_from_srgb(np.full((side * side, 3), _BACKDROP, np.float32))
-    backdrop[hit] = _shade(product, face[hit], weights, -rays[hit])
-    return backdrop.reshape(side, side, 3)
+    return Hits(pixels, found["primitive_ids"].numpy()[pixels], weights, distance[pixels])
 
 
-def _rays(product: Product, azimuth: float, side: int) -> tuple[F32, F32]:
-    """The eye (3,) and unit rays (side * side, 3) of a camera that sees the whole object."""
-    low, high = product.vertices.min(0), product.vertices.max(0)
-    middle = (low + high) / 2
-    up = np.deg2rad(_ELEVATION_DEG)
-    away = np.array([np.sin(azimuth) * np.cos(up), np.sin(up), np.cos(azimuth) * np.cos(up)])
-    half = np.tan(np.deg2rad(_FIELD_OF_VIEW_DEG) / 2)
-    right = np.cross([0.0, 1.0, 0.0], away)
-    right /= np.linalg.norm(right)
-    above = np.cross(away, right)
-    aside, height, depth = ((product.vertices - middle) @ np.stack([right, above, away], 1)).T
+def reach_around(product: Product, azimuth: float) -> float:
+    """How far from the middle of the box a camera sees the whole object, metres."""
+    away, right, above = _axes(azimuth)
+    aside, height, depth = (
+        (product.vertices - _middle(product)) @ np.stack([right, above, away], 1)
+    ).T
     # From this far, the widest vertex just touches the picture's margin.
+    half = np.tan(np.deg2rad(_FIELD_OF_VIEW_DEG) / 2)
     reach = depth + np.maximum(np.abs(aside), np.abs(height)) / half * _MARGIN
-    eye = middle + away * float(reach.max())
+    return float(reach.max())
+
+
+def rays_around(
+    product: Product, azimuth: float, side: int, *, reach: float | None = None, zoom: float = 1.0
+) -> tuple[F32, F32]:
+    """The eye (3,) and unit rays (side * side, 3) of a camera that looks at the object's middle.
+
+    Args:
+        azimuth: radians, from the front (+Z) towards +X.
+        reach: the eye's distance from the middle, metres; None: as near as shows all of it.
+        zoom: how much longer the lens is than one that shows all of it.
+    """
+    away, right, above = _axes(azimuth)
+    middle = _middle(product)
+    eye = middle + away * (reach_around(product, azimuth) if reach is None else reach)
+    half = np.tan(np.deg2rad(_FIELD_OF_VIEW_DEG) / 2) / zoom
     steps = ((np.arange(side) + 0.5) / side * 2 - 1) * half
     rays = steps[None, :, None] * right - steps[:, None, None] * above - away
     rays = rays.reshape(-1, 3)
@@ -76,12 +112,30 @@ def _rays(product: Product, azimuth: float, side: int) -> tuple[F32, F32]:
     return eye.astype(np.float32), rays.astype(np.float32)
 
 
-def _shade(product: Product, face: NDArray[np.uint32], weights: F32, toward: F32) -> F32:
-    """(N, 3) linear radiance: diffuse under a soft sky, reflections by the split sum."""
-    corners = product.faces[face]
+def _axes(azimuth: float) -> tuple[F64, F64, F64]:
+    """Unit vectors from the object to the camera, to the picture's right and to its top."""
+    up = np.deg2rad(_ELEVATION_DEG)
+    away = np.array([np.sin(azimuth) * np.cos(up), np.sin(up), np.cos(azimuth) * np.cos(up)])
+    right = np.cross([0.0, 1.0, 0.0], away)
+    right /= np.linalg.norm(right)
+    return away, right, np.cross(away, right)
+
+
+def _middle(product: Product) -> F64:
+    """(3,) of the object's box."""
+    return np.asarray((product.vertices.min(0) + product.vertices.max(0)) / 2, np.float64)
+
+
+def shade(product: Product, hits: Hits, toward: F32) -> F32:
+    """(N, 3) linear radiance: diffuse under a soft sky, reflections by the split sum.
+
+    Args:
+        toward: (N, 3) unit, from the surface to the eye.
+    """
+    corners = product.faces[hits.face]
 
     def at(values: F32) -> F32:
-        return np.asarray(np.einsum("nk,nkc->nc", weights, values[corners]), np.float32)
+        return np.asarray(np.einsum("nk,nkc->nc", hits.weights, values[corners]), np.float32)
 
     uv = at(product.uv)
     base = linear_from_srgb(_sample(product.base_color, uv))

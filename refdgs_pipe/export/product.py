@@ -1,6 +1,7 @@
 """The textured object as every format wants it: +Y up, metres, 8-bit pictures."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -8,7 +9,8 @@ from numpy.typing import NDArray
 
 from refdgs_pipe.artifacts.mesh import UvMesh
 from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
-from refdgs_pipe.geometry import y_up_from_z_up
+from refdgs_pipe.export.about import About
+from refdgs_pipe.export.frame import AssetFrame
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -25,6 +27,7 @@ class Product:
         vertices, normals: (V, 3) float32; tangents: (V, 4); uv: (V, 2), v down; faces: (F, 3).
         base_color: (S, S, 3) sRGB; roughness, metallic: (S, S) linear; normal: (S, S, 3), green up.
         is_open: some edge has a face on one side only, so the inside can be seen.
+        about: what the files say about themselves; see `about_asset`.
     """
 
     vertices: F32
@@ -37,6 +40,7 @@ class Product:
     metallic: U8
     normal: U8
     is_open: bool
+    about: About = field(default_factory=dict)
 
     @property
     def has_metal(self) -> bool:
@@ -44,19 +48,22 @@ class Product:
         return bool(self.metallic.any())
 
 
-def product(textured: TexturedMesh, *, up: F64, metres_per_unit: float) -> Product:
+def product(
+    textured: TexturedMesh, *, up: F64, metres_per_unit: float, about: About | None = None
+) -> Product:
     """Turn a textured mesh to +Y up and metres.
 
     Args:
         up: (3,) the world's up vector.
+        about: what the files are to say about themselves.
     """
-    turn = y_up_from_z_up(up)
+    frame = AssetFrame.of(up, metres_per_unit)
     mesh = textured.mesh
     return Product(
-        vertices=(mesh.vertices @ turn.T * metres_per_unit).astype(np.float32),
-        normals=_unit(mesh.normals @ turn.T),
+        vertices=frame.points(mesh.vertices).astype(np.float32),
+        normals=_unit(frame.directions(mesh.normals)),
         tangents=np.concatenate(
-            [_unit(textured.tangents[:, :3] @ turn.T), textured.tangents[:, 3:]], axis=1
+            [_unit(frame.directions(textured.tangents[:, :3])), textured.tangents[:, 3:]], axis=1
         ),
         uv=np.clip(mesh.uv, 0, 1),
         faces=mesh.faces,
@@ -65,19 +72,22 @@ def product(textured: TexturedMesh, *, up: F64, metres_per_unit: float) -> Produ
         metallic=_eight_bits(textured.metallic),
         normal=_eight_bits(textured.normal),
         is_open=_is_open(mesh.vertices, mesh.faces),
+        about=about or {},
     )
 
 
-def metres_per_unit(mesh: UvMesh, *, known: float | None, longest: float | None) -> float:
-    """How many metres a world unit is.
+def scale_of(
+    mesh: UvMesh, *, known: float | None, longest: float | None
+) -> tuple[float, Literal["given", "known from the capture", "unknown"]]:
+    """How many metres a world unit is, and what tells it; one where nothing does.
 
     Args:
         known: what the capture told, if anything did.
         longest: the longest side of the object's box in metres, if the user said; it wins.
     """
     if longest is not None:
-        return longest / float(np.ptp(mesh.vertices, axis=0).max())
-    return 1.0 if known is None else known
+        return longest / float(np.ptp(mesh.vertices, axis=0).max()), "given"
+    return (1.0, "unknown") if known is None else (known, "known from the capture")
 
 
 def jpeg(pixels: U8) -> bytes:

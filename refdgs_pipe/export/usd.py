@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from refdgs_pipe.errors import ExportError
+from refdgs_pipe.export.about import About
 from refdgs_pipe.export.product import Product
 
 
@@ -23,6 +24,7 @@ def write_usdc(path: Path, product: Product, *, textures: str, comment: str) -> 
     root = UsdGeom.Xform.Define(stage, "/object")
     stage.SetDefaultPrim(root.GetPrim())
     Usd.ModelAPI(root.GetPrim()).SetKind(Kind.Tokens.component)
+    root.GetPrim().SetCustomDataByKey("refdgs", usd_data(product.about))
 
     mesh = UsdGeom.Mesh.Define(stage, "/object/mesh")
     mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(product.vertices))
@@ -43,6 +45,13 @@ def write_usdc(path: Path, product: Product, *, textures: str, comment: str) -> 
     material = _material(stage, textures, has_metal=product.has_metal)
     UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
     stage.GetRootLayer().Save()
+
+
+def usd_data(about: About) -> dict[str, Any]:
+    """Metadata as USD keeps it: texts, numbers and lists of texts."""
+    from pxr import Vt
+
+    return {k: Vt.StringArray(list(v)) if isinstance(v, list) else v for k, v in about.items()}
 
 
 def write_usdz(path: Path, usdc: Path, textures: list[Path]) -> None:

@@ -61,3 +61,8 @@ def image(tensor: Tensor | None) -> tuple[int, list[int]]:
     if tensor is None:
         return 0, [0, 0, 0]
     return tensor.data_ptr(), [*tensor.stride(), 0][:3]
+
+
+def table(tensor: Tensor) -> tuple[int, list[int]]:
+    """Address and strides (row, column) of (P,) or (P, C)."""
+    return tensor.data_ptr(), [*tensor.stride(), 0][:2]

@@ -108,17 +108,22 @@ class _Rasterize(torch.autograd.Function):
         planes, *inputs = ctx.saved_tensors
         out = [torch.empty_like(t) for t in inputs]
         v_pose = torch.zeros(3, 4, dtype=planes.dtype)
-        v_planes = torch.zeros_like(planes)
+        kept: list[Tensor] = []  # while their addresses are in use
+        v_planes = [0] * len(planes)
         for place, grad in zip(ctx.places, grads, strict=True):
-            if grad is not None and grad.ndim == 3:
-                v_planes[place : place + grad.shape[2]].copy_(grad.permute(2, 0, 1))
-            elif grad is not None:
-                v_planes[place].copy_(grad)
+            if grad is None:
+                continue
+            by_plane = grad.permute(2, 0, 1) if grad.ndim == 3 else grad[None]
+            if by_plane.stride()[1:] != (planes.shape[2], 1):
+                by_plane = by_plane.contiguous()
+            kept.append(by_plane)
+            for index, plane in enumerate(by_plane):
+                v_planes[place + index] = plane.data_ptr()
         ctx.frame.raster.backward(
             [t.data_ptr() for t in inputs],
             *inputs[4].shape,
             planes.data_ptr(),
-            v_planes.data_ptr(),
+            v_planes,
             [t.data_ptr() for t in (*out, v_pose, ctx.statistics.gradients)],
         )
         pose = None

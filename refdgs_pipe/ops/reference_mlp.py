@@ -5,6 +5,8 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from refdgs_pipe.ops.shade import clip
+
 
 def mlp(
     x: Tensor, weights: Sequence[Tensor], biases: Sequence[Tensor], *, exp_cap: float | None = None
@@ -13,4 +15,4 @@ def mlp(
     for weight, bias in zip(weights[:-1], biases[:-1], strict=True):
         x = torch.relu(torch.nn.functional.linear(x, weight, bias))
     y = torch.nn.functional.linear(x, weights[-1], biases[-1])
-    return y if exp_cap is None else y.clamp(max=exp_cap).exp()
+    return y if exp_cap is None else clip(y, exp_cap).exp()

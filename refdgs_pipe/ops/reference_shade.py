@@ -1,5 +1,7 @@
 """Deferred shading in plain torch: the definition that the compiled one is proved against."""
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -28,7 +30,7 @@ def shading_inputs(
     near: Tensor | None,
     pixels: Tensor,
     camera: Pinhole,
-) -> tuple[Tensor, Tensor, Tensor, Tensor | None]:
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor | None]:
     """Same meaning as `ops.shading_inputs`."""
 
     def at(image: Tensor) -> Tensor:
@@ -41,7 +43,9 @@ def shading_inputs(
     rays = at(rays / rays.norm(dim=-1, keepdim=True)) @ pose
     towards = -(n * rays).sum(-1, keepdim=True)
     reflected = normalized(rays + 2 * towards * n)
-    return carried, reflected, towards[:, 0].clamp(0, 1), None if near is None else at(near)
+    cosine = towards[:, 0].clamp(0, 1)
+    gathered = None if near is None else at(near)
+    return carried[:, :3], carried[:, 3], reflected, cosine, gathered
 
 
 def srgb_of(linear: Tensor) -> Tensor:
@@ -80,8 +84,17 @@ def depth_normals(depth: Tensor, camera: Pinhole) -> Tensor:
     return torch.nn.functional.pad(world, (0, 0, 1, 1, 1, 1))
 
 
-def normal_agreement(normal: Tensor, depth: Tensor, alpha: Tensor, camera: Pinhole) -> Tensor:
+def normal_agreement(
+    normal: Tensor, depth: Tensor, alpha: Tensor, camera: Pinhole, *, edge: float = math.inf
+) -> Tensor:
     """Same meaning as `ops.normal_agreement`."""
-    expected = depth_normals(depth / alpha.clamp(min=1e-6), camera)
+    z = depth / alpha.clamp(min=1e-6)
+    expected = depth_normals(z, camera)
+    z = z.detach()
+    bend = torch.maximum(
+        (z[2:, 1:-1] + z[:-2, 1:-1] - 2 * z[1:-1, 1:-1]).abs(),
+        (z[1:-1, 2:] + z[1:-1, :-2] - 2 * z[1:-1, 1:-1]).abs(),
+    )
+    smooth = bend * camera.fx < edge * z[1:-1, 1:-1]
     agreement = (normalized(normal) * expected).sum(-1)
-    return ((1 - agreement) * alpha.detach())[1:-1, 1:-1].mean()
+    return (((1 - agreement) * alpha.detach())[1:-1, 1:-1] * smooth).mean()

@@ -1,5 +1,6 @@
 """Deferred shading around the shader's network: gather, composite, and normals against depth."""
 
+import math
 from typing import Any
 
 import _refdgs_native as native
@@ -21,7 +22,7 @@ def shading_inputs(
     camera: Pinhole,
     *,
     threads: int | None = None,
-) -> tuple[Tensor, Tensor, Tensor, Tensor | None]:
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor | None]:
     """What the shader is given at covered pixels.
 
     Args:
@@ -29,13 +30,14 @@ def shading_inputs(
         alpha: (H, W) sums of w, above 0 at `pixels`.
         normal: (H, W, 3) sums of w n, world.
         near: (H, W, 4) local reflection features, or None.
-        pixels: (P,) int64, row * W + column, each at most once.
+        pixels: (P,) int64, row * W + column, ascending.
         camera: constant: its pose gets no gradient.
         threads: default torch's; the result does not depend on it.
 
     Returns:
-        carried (P, 4) = features / alpha; the mirrored view ray (P, 3), unit, world; the cosine
-        (P,) between normal and view, 0 to 1; near at the pixels (P, 4) as it is, or None.
+        features / alpha as diffuse (P, 3) and roughness (P,); the mirrored view ray (P, 3), unit,
+        world; the cosine (P,) between normal and view, 0 to 1; near at the pixels (P, 4) as it is,
+        or None. Strides are of planes, but for near.
 
     Raises:
         ShapeError: sizes or types disagree.
@@ -45,15 +47,17 @@ def shading_inputs(
     if features.shape[2] < 4 or (near is not None and near.shape[2] != 4):
         raise ShapeError("features need at least 4 channels, and near exactly 4")
     if cuda.on_gpu(alpha):
-        carried, reflected, cosine, gathered = cuda_shade.ShadingInputs.apply(  # type: ignore[no-untyped-call]
+        on_gpu: list[Tensor] = cuda_shade.ShadingInputs.apply(  # type: ignore[no-untyped-call]
             features, alpha, normal, near, pixels.contiguous(), camera
         )
-        return carried, reflected, cosine, None if near is None else gathered
+        diffuse, roughness, reflected, cosine, gathered = on_gpu
+        return diffuse, roughness, reflected, cosine, None if near is None else gathered
     count = threads or torch.get_num_threads()
-    carried, reflected, cosine, gathered = _ShadingInputs.apply(  # type: ignore[no-untyped-call]
+    *parts, gathered = _ShadingInputs.apply(  # type: ignore[no-untyped-call]
         features, alpha, normal, near, pixels.contiguous(), camera, count
     )
-    return carried, reflected, cosine, None if near is None else gathered
+    diffuse, roughness, reflected, cosine = parts
+    return diffuse, roughness, reflected, cosine, None if near is None else gathered
 
 
 def composite(
@@ -73,8 +77,8 @@ def composite(
     highlight which its photo clips is not pushed up without end.
 
     Args:
-        diffuse: (P, 3) linear, of any row stride; radiance: (P, 3) linear.
-        pixels: (P,) int64, row * W + column, each at most once; elsewhere the object is black.
+        diffuse, radiance: (P, 3) linear, any strides.
+        pixels: (P,) int64, row * W + column, ascending; elsewhere the object is black.
         object_alpha, alpha: (H, W).
         backdrop: (3,) sRGB, constant.
         behind: (H, W, 3) sRGB, premultiplied, or None.
@@ -104,9 +108,18 @@ def composite(
 
 
 def normal_agreement(
-    normal: Tensor, depth: Tensor, alpha: Tensor, camera: Pinhole, *, threads: int | None = None
+    normal: Tensor,
+    depth: Tensor,
+    alpha: Tensor,
+    camera: Pinhole,
+    *,
+    edge: float = math.inf,
+    threads: int | None = None,
 ) -> Tensor:
     """Mean of alpha (1 - n . n_depth) over pixels with four neighbours; a scalar.
+
+    Pixels at an edge of the depth count as 0: there a surface ends in front of another, and
+    agreement would close the gap between the two.
 
     n_depth: of the depth map, by central differences (2D Gaussian Splatting, section 5). Gradients
     reach normal, depth and alpha through the depth's mean; alpha as a weight is constant.
@@ -114,6 +127,7 @@ def normal_agreement(
     Args:
         normal: (H, W, 3) sums of w n, world; depth: (H, W) sums of w z; alpha: (H, W) sums of w.
         camera: constant.
+        edge: second differences of the depth above this are an edge, in pixel footprints z / fx.
         threads: default torch's; the result does not depend on it.
 
     Raises:
@@ -125,12 +139,12 @@ def normal_agreement(
         raise ShapeError(f"image of {camera.width}x{camera.height}: no pixel has four neighbours")
     if cuda.on_gpu(alpha):
         on_gpu: Tensor = cuda_shade.NormalAgreement.apply(  # type: ignore[no-untyped-call]
-            normal, depth, alpha, camera
+            normal, depth, alpha, camera, edge
         )
         return on_gpu
     count = threads or torch.get_num_threads()
     loss: Tensor = _NormalAgreement.apply(  # type: ignore[no-untyped-call]
-        normal, depth, alpha, camera, count
+        normal, depth, alpha, camera, edge, count
     )
     return loss
 
@@ -170,8 +184,11 @@ def _numbers(camera: Pinhole) -> list[float]:
     return [camera.fx, camera.fy, camera.cx, camera.cy, *rotation]
 
 
-def _planes(like: Tensor, channels: int, height: int, width: int) -> Tensor:
-    return torch.zeros(channels, height, width, dtype=like.dtype)
+def _table(tensor: Tensor | None) -> tuple[int, list[int]]:
+    """Address and strides, of (P,) as of (P, 1)."""
+    if tensor is None:
+        return 0, [0, 0]
+    return tensor.data_ptr(), [*tensor.stride(), 0][:2]
 
 
 class _ClipThatPullsDown(torch.autograd.Function):
@@ -198,27 +215,25 @@ class _ShadingInputs(torch.autograd.Function):
         camera: Pinhole,
         threads: int,
     ) -> tuple[Tensor, ...]:
-        count = len(pixels)
-        widths = (4, 3, 1, 4 if near is not None else 0)
-        out = [features.new_empty(count, width) for width in widths]
+        count, channels = len(pixels), features.shape[2]
+        planes = [features.new_empty(width, count) for width in (3, 1, 3, 1)]
+        diffuse, roughness, reflected, cosine = planes
+        out = [diffuse.T, roughness[0], reflected.T, cosine[0]]
+        out.append(features.new_empty(count, 4 if near is not None else 0))
         images = [_image(t) for t in (features, alpha, normal, near)]
-        head = ([*alpha.shape], _numbers(camera), count, pixels.data_ptr(), images, threads)
-        _function("shading_inputs", features.dtype)(*head, [t.data_ptr() for t in out])
+        head = ([*alpha.shape], _numbers(camera), count, pixels.data_ptr(), channels, images)
+        ctx.head = (*head, threads)
+        _function("shading_inputs", features.dtype)(*ctx.head, [_table(t) for t in out])
         ctx.save_for_backward(features, alpha, normal, near, pixels)
-        ctx.head = head
-        return out[0], out[1], out[2][:, 0], out[3]
+        return tuple(out)
 
     @staticmethod
     def backward(ctx: Any, *v: Tensor) -> tuple[Tensor | None, ...]:
         features, alpha, _, near, _ = ctx.saved_tensors
-        given = [t.contiguous() for t in v]
-        size = tuple(alpha.shape)
-        grads = [
-            _planes(alpha, channels, *size)
-            for channels in (features.shape[2], 1, 3, 4 if near is not None else 0)
-        ]
+        widths = (features.shape[2], 1, 3, 4 if near is not None else 0)
+        grads = [alpha.new_empty(width, *alpha.shape) for width in widths]
         _function("shading_inputs_bwd", alpha.dtype)(
-            *ctx.head, [t.data_ptr() for t in given], [t.data_ptr() for t in grads]
+            *ctx.head, [_table(t) for t in v], [t.data_ptr() for t in grads]
         )
         v_features, v_alpha, v_normal, v_near = (g.permute(1, 2, 0) for g in grads)
         return (
@@ -243,14 +258,11 @@ class _Composite(torch.autograd.Function):
         behind: Tensor | None,
         threads: int,
     ) -> Tensor:
-        if diffuse.stride(1) != 1:
-            diffuse = diffuse.contiguous()
-        radiance = radiance.contiguous()
         planes = alpha.new_empty(3, *alpha.shape)
         images = [_image(t) for t in (object_alpha, alpha, behind)]
-        row = diffuse.stride(0)
-        head = [[*alpha.shape], len(pixels), pixels.data_ptr(), diffuse.data_ptr(), row]
-        head += [radiance.data_ptr(), images, backdrop.tolist(), threads]
+        tables = [_table(t) for t in (diffuse, radiance)]
+        head = [[*alpha.shape], len(pixels), pixels.data_ptr(), tables, images]
+        head += [backdrop.tolist(), threads]
         _function("composite", alpha.dtype)(*head, planes.data_ptr())
         ctx.save_for_backward(diffuse, radiance, pixels, object_alpha, alpha)
         ctx.head, ctx.behind = head, behind is not None
@@ -259,12 +271,13 @@ class _Composite(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *v: Tensor) -> tuple[Tensor | None, ...]:
         diffuse, _, pixels, _, alpha = ctx.saved_tensors
-        linear = diffuse.new_empty(len(pixels), 3)
+        linear = diffuse.new_empty(3, len(pixels))
         v_object, v_alpha = alpha.new_empty(alpha.shape), alpha.new_empty(alpha.shape)
         _function("composite_bwd", alpha.dtype)(
             *ctx.head, [_image(v[0])], [t.data_ptr() for t in (linear, v_object, v_alpha)]
         )
-        return linear, linear, None, v_object, v_alpha, None, v[0] if ctx.behind else None, None
+        v_linear, behind = linear.T, v[0] if ctx.behind else None
+        return v_linear, v_linear, None, v_object, v_alpha, None, behind, None
 
 
 class _NormalAgreement(torch.autograd.Function):
@@ -272,26 +285,33 @@ class _NormalAgreement(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, normal: Tensor, depth: Tensor, alpha: Tensor, camera: Pinhole, threads: int
+        ctx: Any,
+        normal: Tensor,
+        depth: Tensor,
+        alpha: Tensor,
+        camera: Pinhole,
+        edge: float,
+        threads: int,
     ) -> Tensor:
         height, width = alpha.shape
         scale = 1.0 / ((height - 2) * (width - 2))
         grads: list[Tensor] = []
         if any(ctx.needs_input_grad):
-            grads = [alpha.new_empty(channels, height, width) for channels in (3, 1, 1, 6)]
+            grads = [alpha.new_empty(channels, height, width) for channels in (3, 1, 1)]
         total: float = _function("normal_agreement", alpha.dtype)(
             [height, width],
             _numbers(camera),
             [_image(t) for t in (normal, depth, alpha)],
             scale,
+            edge,
             threads,
-            [t.data_ptr() for t in grads] or [0] * 4,
+            [t.data_ptr() for t in grads] or [0] * 3,
         )
-        ctx.grads = grads[:3]
+        ctx.grads = grads
         return alpha.new_tensor(total * scale)
 
     @staticmethod
     def backward(ctx: Any, *v: Tensor) -> tuple[Tensor | None, ...]:
         scale = float(v[0])
         v_normal, v_depth, v_alpha = (g * scale for g in ctx.grads)
-        return v_normal.permute(1, 2, 0), v_depth[0], v_alpha[0], None, None
+        return v_normal.permute(1, 2, 0), v_depth[0], v_alpha[0], None, None, None

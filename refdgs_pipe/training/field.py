@@ -65,7 +65,11 @@ class TrainableField:
         self.shader_optimizer: list[torch.optim.Optimizer] = []
         if params.reflection:
             self.shader = Shader(
-                params.environment_height, params.local, params.mixing, params.physical
+                params.environment_height,
+                params.local,
+                params.mixing,
+                params.physical,
+                half=params.bfloat16,
             ).to(device)
             groups = [
                 {"params": [self.shader.environment], "lr": params.rate_environment},
@@ -105,7 +109,7 @@ class TrainableField:
         p, cloud, opacity = self.params, None, self.params.start_opacity
         if masked and p.start != "ball" and all(photo.mask is not None for photo in photos):
             cloud = _hull_cloud(p, model, photos, rng)
-            opacity = HULL_OPACITY if p.start == "hull" else p.start_opacity
+            opacity = p.start_opacity if p.start == "volume" else HULL_OPACITY
         if cloud is None:
             cloud, opacity = initial.ball_cloud(model.ball, p.surfels, rng), BALL_OPACITY
             inside = self._inside(torch.from_numpy(model.points)).numpy()
@@ -145,9 +149,19 @@ class TrainableField:
         return near
 
     def set_rates(self, fraction: float) -> None:
-        """Centres slow down log-linearly to 1/100 over the run."""
+        """Centres slow down log-linearly to 1/100 over the run, all else at its end."""
+        p = self.params
+        late = max(0.0, fraction - p.anneal_from) / max(1 - p.anneal_from, 1e-6)
+        share = p.anneal_to**late
         for group in self._sets():
+            for name in group.raw:
+                group.set_rate(name, self.rates[name] * share)
             group.set_rate("means", self.rates["means"] * 0.01**fraction)
+        if self.shader_optimizer:
+            rates = (p.rate_environment, p.rate_shader)
+            groups = self.shader_optimizer[0].param_groups
+            for parameters, rate in zip(groups, rates, strict=True):
+                parameters["lr"] = rate * share
 
     def scene(self, camera: Pinhole, fraction: float) -> Scene:
         """What is drawn now: activated, and the background's colour towards this camera."""
@@ -281,9 +295,9 @@ def _hull_cloud(
     hull = initial.visual_hull(model.ball, cameras, [mask.numpy() for mask in masks])
     if hull is None:
         return None
-    if p.start == "hull":
-        return initial.surface_cloud(hull, p.surfels, rng)
+    if p.start == "volume":
+        return initial.volume_cloud(hull, p.surfels, rng)
     if p.start == "carved":
         pictures = [photo.rgb.float() / 255 for photo in photos]
         hull = initial.carved(hull, cameras, pictures, masks)
-    return initial.volume_cloud(hull, p.surfels, rng)
+    return initial.surface_cloud(hull, p.surfels, rng)

@@ -6,7 +6,7 @@ from itertools import pairwise
 import torch
 from torch import Tensor, nn
 
-from refdgs_pipe.ops import clip, mlp, sph_mip
+from refdgs_pipe.ops import mlp, sph_mip
 
 RADIANCE_EXPONENT = 5.0  # specular radiance is at most e^5
 
@@ -15,11 +15,14 @@ class Shader(nn.Module):
     """The learnable far-field map and the MLP that turns features into specular radiance.
 
     Sph-Mip map (H, 2H, 4), zeros at first; MLP with 3 hidden layers of 64, ReLU, whose output is
-    exp(min(x, 5)), at first about 0.25 (method: Ref-DGS).
+    exp(min(x, 5)), at first about 0.25 (method: Ref-DGS). `half`: see `ops.mlp`.
     """
 
-    def __init__(self, height: int, local: str, mixing: str, physical: bool) -> None:
+    def __init__(
+        self, height: int, local: str, mixing: str, physical: bool, *, half: bool = False
+    ) -> None:
         super().__init__()
+        self.half_products = half
         self.local, self.mixing, self.physical = local, mixing, physical
         inputs = 4 + (4 if mixing == "adaptive" and local != "none" else 0) + (2 if physical else 0)
         self.environment = nn.Parameter(torch.zeros(height, 2 * height, 4))
@@ -46,5 +49,6 @@ def specular(
         parts = [far + near] if shader.mixing == "sum" else [far, near]
     if shader.physical:
         parts += [roughness[:, None], cosine[:, None]]
-    exponent = mlp(torch.cat(parts, -1), list(shader.weights), list(shader.biases))
-    return torch.exp(clip(exponent, RADIANCE_EXPONENT))
+    weights, biases = list(shader.weights), list(shader.biases)
+    x = torch.cat(parts, -1)
+    return mlp(x, weights, biases, exp_cap=RADIANCE_EXPONENT, half=shader.half_products)

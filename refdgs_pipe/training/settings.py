@@ -46,6 +46,11 @@ class TrainParams(Params):
         le=1024,
         description="rows of the Sph-Mip map, a power of two; columns are twice",
     )
+    bfloat16: bool = Field(
+        True,
+        description="the shader's network multiplies bfloat16 numbers where the CPU can: faster, "
+        "equal in quality, but other CPUs give slightly other results",
+    )
     diffuse_bias: float = Field(
         2.0, ge=0, le=10, description="initial diffuse is exp(-bias)/5: 0 bright, 2 dark"
     )
@@ -62,7 +67,7 @@ class TrainParams(Params):
         60_000, ge=100, le=5_000_000, description="surfels outside the object ball at most"
     )
     start_opacity: float = Field(
-        0.03, gt=0, lt=1, description="of surfels that start within the visual hull"
+        0.03, gt=0, lt=1, description="of surfels that start throughout the visual hull"
     )
     densify_from: float = Field(0.05, ge=0, le=1, description="fraction of the run")
     densify_until: float = Field(0.6, ge=0, le=1, description="fraction of the run")
@@ -93,12 +98,23 @@ class TrainParams(Params):
     rate_environment: float = Field(0.002, gt=0, le=1, description="step of the Sph-Mip map")
     rate_shader: float = Field(5e-4, gt=0, le=1, description="step of the shader's weights")
 
+    anneal_from: float = Field(
+        1.0, ge=0, le=1, description="fraction of the run from which steps shrink"
+    )
+    anneal_to: float = Field(0.1, gt=0, le=1, description="share of the steps left at the end")
+
     ssim_share: float = Field(0.2, ge=0, le=1, description="share of 1 - SSIM in the image loss")
     mask_weight: float = Field(
         0.1, ge=0, le=10, description="weight of the alpha's cross-entropy against masks"
     )
     normal_weight: float = Field(
         0.2, ge=0, le=10, description="weight of the agreement of normals with depth"
+    )
+    normal_edge: float = Field(
+        1000.0,
+        gt=0,
+        le=1e6,
+        description="normals need not agree where the depth bends by more pixel footprints",
     )
     distortion_weight: float = Field(
         0.0, ge=0, le=1e6, description="weight of the depth distortion"
@@ -112,5 +128,5 @@ class TrainParams(Params):
     start: Literal["hull", "volume", "carved", "ball"] = Field(
         "carved",
         description="where surfels start when there are masks: on their visual hull, throughout "
-        "it, throughout it without the hollows that photos agree on, or throughout the object ball",
+        "it, on it and in the hollows that photos agree on, or throughout the object ball",
     )

@@ -51,7 +51,8 @@ class Picture:
         image: (H, W, 3) sRGB, composited over the given colour.
         maps: of geometry and, with a background set, of everything in front of infinity.
         object_alpha: (H, W) of the object alone.
-        pixels: (P,) that were shaded; carried (P, 4) and radiance (P, 3) there, linear.
+        pixels: (P,) that were shaded; there carried diffuse (P, 3) and roughness (P,), and
+            radiance (P, 3), linear.
         local_statistics: of the local reflection surfels, if there were any.
     """
 
@@ -59,7 +60,7 @@ class Picture:
     maps: Maps
     object_alpha: Tensor
     pixels: Tensor
-    carried: Tensor
+    carried: tuple[Tensor, Tensor]
     radiance: Tensor
     local_statistics: ScreenStatistics | None
 
@@ -78,12 +79,12 @@ class Picture:
     @property
     def diffuse(self) -> Tensor:
         """(H, W, 3) linear, not premultiplied, 0 where nothing was shaded."""
-        return self._spread(self.carried[:, :3])
+        return self._spread(self.carried[0])
 
     @property
     def roughness(self) -> Tensor:
         """(H, W), not premultiplied."""
-        return self._spread(self.carried[:, 3:])[..., 0]
+        return self._spread(self.carried[1][:, None])[..., 0]
 
     @property
     def specular(self) -> Tensor:
@@ -160,16 +161,17 @@ def draw(
     assert maps.normal is not None
     # on a GPU this waits for the maps: the number of covered pixels shapes what follows
     pixels = torch.nonzero(object_alpha.detach().reshape(-1) > SHADED_ALPHA).flatten()
-    carried, reflected, cosine, near = shading_inputs(
+    diffuse, roughness, reflected, cosine, near = shading_inputs(
         maps.features, object_alpha, maps.normal, near, pixels, camera
     )
     if turntable:
         reflected = reflected @ camera.cam_from_world[:3, :3].T.to(reflected)
     if scene.shader is None:
-        radiance = carried.new_zeros(len(pixels), 3)
+        radiance = diffuse.new_zeros(len(pixels), 3)
     else:
-        radiance = specular(scene.shader, reflected, carried[:, 3], cosine, near)
-    image = composite(carried[:, :3], radiance, pixels, object_alpha, maps.alpha, backdrop, behind)
+        radiance = specular(scene.shader, reflected, roughness, cosine, near)
+    image = composite(diffuse, radiance, pixels, object_alpha, maps.alpha, backdrop, behind)
+    carried = (diffuse, roughness)
     return Picture(image, maps, object_alpha, pixels, carried, radiance, local_statistics)
 
 

@@ -151,7 +151,7 @@ class Trainer:
             loss = loss + p.mask_weight * losses.mask_entropy(maps.alpha, photo.mask.float() / 255)
         if p.normal_weight > 0 and maps.normal is not None and maps.depth is not None:
             loss = loss + p.normal_weight * normal_agreement(
-                maps.normal, maps.depth, maps.alpha, photo.pinhole
+                maps.normal, maps.depth, maps.alpha, photo.pinhole, edge=p.normal_edge
             )
         if p.smooth_weight > 0:
             loss = loss + p.smooth_weight * losses.normal_smoothness(

@@ -166,12 +166,12 @@ def test_shading(size: int) -> None:
         def run(
             features: Tensor, normal: Tensor, near: Tensor, alpha: Tensor, depth: Tensor
         ) -> Tensor:
-            carried, reflected, cosine, found = of.shading_inputs(  # type: ignore[attr-defined]
+            diffuse, _, reflected, cosine, found = of.shading_inputs(  # type: ignore[attr-defined]
                 features, alpha, normal, near, pixels, camera
             )
             radiance = (reflected + found[:, :3]) * cosine[:, None]
             image = of.composite(  # type: ignore[attr-defined]
-                carried[:, :3], radiance, pixels, alpha, alpha, backdrop, None
+                diffuse, radiance, pixels, alpha, alpha, backdrop, None
             )
             agreement = of.normal_agreement(normal, depth, alpha, camera)  # type: ignore[attr-defined]
             out: Tensor = image.mean() + agreement

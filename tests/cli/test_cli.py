@@ -12,6 +12,8 @@ from typing import Any
 
 import pytest
 
+from refdgs_pipe.cli.workspace import Memory, open_workspace
+
 FAKE_CLI = Path(__file__).parent.parent / "fake_cli.py"
 
 
@@ -60,6 +62,7 @@ def test_run_prints_the_asset_on_stdout_and_the_rest_on_stderr(shell: Shell) -> 
     assert result.stdout == f"{shell.work / 'asset'}\n"
     assert (shell.work / "asset" / "text").read_text() == "HELLO WORLD! (hello world) 20.0"
     lines = [re.sub(r"[\d.]+ s", "T", line) for line in result.stderr.splitlines()]
+    assert lines.pop() == f"report: {shell.work / 'report.html'}"
     assert lines == [
         "read: never run",
         "read: done in T",
@@ -67,6 +70,7 @@ def test_run_prints_the_asset_on_stdout_and_the_rest_on_stderr(shell: Shell) -> 
         "shout: done in T",
         "export: never run",
         "export: done in T",
+        "report: drawing",
         "",
         "made read T, shout T, export T",
         "  parts/0.bin  5.0 kB",
@@ -295,3 +299,48 @@ def wait_for_checkpoint(shell: Shell) -> None:
     while not list(shell.work.glob("shout/.scratch-*/done")):
         assert time.monotonic() < deadline, "no checkpoint appeared"
         time.sleep(0.02)
+
+
+def test_every_run_ends_with_a_report_of_what_is_there(shell: Shell) -> None:
+    record = shell.json("run", "letters")
+    page = shell.work / "report.html"
+    assert record["report"] == str(page)
+    text = page.read_text()
+    assert "<h1>letters</h1>" in text and 'class="verdict good"' in text
+    assert "Nothing yet: to be made by" in text  # this pipeline has no photos, cameras or meshes
+    assert str(shell.root) not in text.partition('id="model"')[0]
+    before = page.stat().st_mtime_ns
+    shell("run", "letters")
+    assert page.stat().st_mtime_ns == before  # nothing new to say
+    assert shell("report", "letters.refdgs", "--out", "other.html").stdout == "other.html\n"
+    assert (shell.root / "other.html").read_text() == text
+
+
+def test_a_failed_run_leaves_a_report_that_says_so(shell: Shell) -> None:
+    result = shell("run", "letters", "--set", "shout.mood=mute", code=68)
+    assert "error: no voice" in result.stderr
+    text = (shell.work / "report.html").read_text()
+    assert 'class="verdict failed"' in text and "no voice. Set shout.mood" in text
+    shell("run", "letters")
+    assert 'class="verdict good"' in (shell.work / "report.html").read_text()
+
+
+def test_a_report_that_cannot_be_written_is_only_a_warning(shell: Shell) -> None:
+    (shell.work / "report.html").mkdir(parents=True)
+    result = shell("run", "letters")
+    assert result.stdout == f"{shell.work / 'asset'}\n"
+    assert "report: warning: not written" in result.stderr
+    assert json.loads(shell("run", "letters", "--json").stdout)["report"] is None
+
+
+def test_the_exported_files_get_the_name_of_the_recipe(tmp_path: Path) -> None:
+    own = tmp_path / "mine.toml"
+    own.write_text("# For a test.\nextends = 'preview'\n")
+
+    def named(recipe: str, *assignments: str) -> str:
+        memory = Memory((tmp_path,), recipe, assignments)
+        export: Any = open_workspace(tmp_path / "work", memory).settings["export"]
+        return str(export.recipe)
+
+    assert named("glossy") == "glossy" and named(str(own)) == "mine"
+    assert named("glossy", "export.recipe='other'") == "other"

@@ -3,8 +3,9 @@
 import pytest
 
 from refdgs_pipe.cli import console
-from refdgs_pipe.cli.console import Console, Estimate, duration, figure, size
+from refdgs_pipe.cli.console import Console, Estimate
 from refdgs_pipe.pipeline.events import Damaged, Finished, Measured, Progress, Started, Warned
+from refdgs_pipe.wording import counted, duration, figure, size
 
 
 def test_durations_and_sizes_are_said_with_the_digits_that_matter() -> None:
@@ -91,3 +92,7 @@ def test_quiet_says_only_what_is_wrong(capsys: pytest.CaptureFixture[str]) -> No
 def test_verbose_says_every_figure(capsys: pytest.CaptureFixture[str]) -> None:
     Console({}, verbosity=2)(Measured("train", "PSNR", 27.123456, "dB"))
     assert capsys.readouterr().err == "train: PSNR 27.12 dB\n"
+
+
+def test_numbers_of_things_agree_with_their_nouns() -> None:
+    assert [counted(n, "photo") for n in (0, 1, 2)] == ["no photos", "1 photo", "2 photos"]

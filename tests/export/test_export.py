@@ -4,57 +4,42 @@ import json
 import shutil
 import struct
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scenes import orbit, waves
+from painted import textured
+from scenes import orbit
+from scipy.spatial.transform import Rotation
 from solids import sphere
 
 from refdgs_pipe.artifacts.asset import Asset
 from refdgs_pipe.artifacts.mesh import Mesh
+from refdgs_pipe.artifacts.surfel_field import SurfelSet
 from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
-from refdgs_pipe.color import linear_from_srgb, srgb_from_linear
+from refdgs_pipe.color import linear_from_srgb
 from refdgs_pipe.errors import CorruptError, ExportError, ShapeError
 from refdgs_pipe.export import files
+from refdgs_pipe.export.about import about_asset
+from refdgs_pipe.export.frame import AssetFrame
 from refdgs_pipe.export.preview import render_preview
-from refdgs_pipe.export.product import Product, metres_per_unit, product
-from refdgs_pipe.export.splats import write_splats
+from refdgs_pipe.export.product import Product, product, scale_of
+from refdgs_pipe.export.splats import in_asset_frame, write_particle_field, write_splats
+from refdgs_pipe.export.turntable import render_close_up, render_turntable
 from refdgs_pipe.export.usd import write_usdz
 from refdgs_pipe.export.validate import glb_faults, require, usd_faults
 from refdgs_pipe.files.ply import read_ply
-from refdgs_pipe.texture.charts import one_by_one_corners, seam_split, unmirrored
-from refdgs_pipe.texture.tangents import mikktspace
-from refdgs_pipe.texture.texels import rasterize
+from refdgs_pipe.texture.charts import one_by_one_corners, seam_split
 
 VALIDATOR = Path(__file__).parent / "validate_gltf.js"
-
-
-def textured(size: int = 256) -> TexturedMesh:
-    """A ball of radius 1 at (0, 0, 1), z up, with a known picture and half of it metal."""
-    solid = sphere(12, center=(0, 0, 1))
-    mesh = seam_split(solid, unmirrored(one_by_one_corners(len(solid.faces))))
-    texels = rasterize(mesh, size)
-    points = texels.interpolate(mesh, mesh.vertices)
-
-    def texture(values: np.ndarray) -> np.ndarray:
-        return texels.picture(np.round(np.clip(values, 0, 1) * 65535).astype(np.uint16))
-
-    flat = np.broadcast_to(np.float32([0.5, 0.5, 1]), points.shape)
-    return TexturedMesh(
-        mesh,
-        mikktspace(mesh),
-        base_color=texture(srgb_from_linear(waves(points).astype(np.float32))),
-        roughness=texture(0.2 + 0 * points[:, 0]),
-        metallic=texture((points[:, 2] > 1).astype(np.float32)),
-        normal=texture(flat),
-        confidence=texture(np.ones(len(points))),
-    )
+FRAME = AssetFrame.of(np.array([0.0, 0.0, 1.0]), 0.1)
+ABOUT = about_asset("my/own.toml", ["a/ä.jpg", 'b/"2".jpg'], 0.1, "given")
 
 
 @pytest.fixture(scope="module")
 def ball() -> Product:
-    return product(textured(), up=np.array([0.0, 0.0, 1.0]), metres_per_unit=0.1)
+    return product(textured(), up=np.array([0.0, 0.0, 1.0]), metres_per_unit=0.1, about=ABOUT)
 
 
 @pytest.fixture(scope="module")
@@ -76,9 +61,10 @@ def test_the_product_stands_upright_in_metres(ball: Product) -> None:
 def test_the_scale_is_what_is_known_or_said() -> None:
     solid = sphere(6, radius=2.0)
     mesh = seam_split(Mesh(solid.vertices, solid.faces), one_by_one_corners(len(solid.faces)))
-    assert metres_per_unit(mesh, known=None, longest=None) == 1
-    assert metres_per_unit(mesh, known=0.3, longest=None) == 0.3
-    assert abs(metres_per_unit(mesh, known=0.3, longest=0.2) - 0.05) < 1e-6
+    assert scale_of(mesh, known=None, longest=None) == (1, "unknown")
+    assert scale_of(mesh, known=0.3, longest=None) == (0.3, "known from the capture")
+    scale, told = scale_of(mesh, known=0.3, longest=0.2)
+    assert abs(scale - 0.05) < 1e-6 and told == "given"
 
 
 def test_every_file_passes_its_check(folder: Path) -> None:
@@ -194,39 +180,86 @@ def test_the_preview_shows_the_object(ball: Product) -> None:
     assert 0.5 < shown < 0.8  # three discs that nearly fill their squares
 
 
-def test_splats_follow_the_2dgs_convention(tmp_path: Path) -> None:
+def test_a_turntable_shows_the_same_outline_painted_and_as_triangles(ball: Product) -> None:
+    turns = render_turntable(ball, count=3, side=64, threads=2)
+    assert len(turns) == 3
+    for turn in turns:
+        assert turn.painted.shape == turn.wire.shape == (64, 64, 4)
+        np.testing.assert_array_equal(turn.painted[..., 3], turn.wire[..., 3])
+        covered = (turn.painted[..., 3] > 127).mean()
+        assert 0.5 < covered < 0.8  # a disc that nearly fills its square
+    assert np.abs(turns[0].painted.astype(int) - turns[1].painted).max() > 40  # its other side
+    close = render_close_up(ball, side=64, zoom=4.0)
+    assert (close.wire[..., 3] == 255).all()
+    grey = close.wire[..., :3].mean(2)
+    assert 0.02 < (grey < 0.6 * grey.max()).mean() < 0.5  # dark lines on light clay
+
+
+def surfels(count: int = 7) -> SurfelSet:
     random = np.random.default_rng(0)
-    quats = random.normal(size=(7, 4)).astype(np.float32)
+    quats = random.normal(size=(count, 4)).astype(np.float32)
     quats /= np.linalg.norm(quats, axis=1, keepdims=True)
-    colors, opacities = random.random((7, 3), np.float32), random.random(7, np.float32)
-    scales = random.random((7, 2), np.float32)
-    means = random.normal(size=(7, 3)).astype(np.float32)
-    write_splats(
-        tmp_path / "s.ply",
-        means=means,
+    return SurfelSet(
+        means=random.normal(size=(count, 3)).astype(np.float32),
         quats=quats,
-        scales=scales,
-        opacities=opacities,
-        colors=colors,
+        scales=random.random((count, 2), np.float32),
+        opacities=random.random(count, np.float32),
+        values={"diffuse": random.random((count, 3), np.float32)},
     )
+
+
+def test_splats_follow_the_2dgs_convention(tmp_path: Path) -> None:
+    some = surfels()
+    write_splats(tmp_path / "s.ply", some)
     ply = read_ply(tmp_path / "s.ply")
     names = "x y z nx ny nz f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 rot_0 rot_1 rot_2 rot_3"
     assert list(ply.columns) == names.split() and ply.comments == ("SplatRenderMode: 2dgs",)
-    np.testing.assert_allclose(1 / (1 + np.exp(-ply.columns["opacity"])), opacities, atol=1e-5)
-    np.testing.assert_allclose(np.exp(ply.columns["scale_1"]), scales[:, 1], rtol=1e-5)
+    opacities = 1 / (1 + np.exp(-ply.columns["opacity"]))
+    np.testing.assert_allclose(opacities, some.opacities, atol=1e-5)
+    np.testing.assert_allclose(np.exp(ply.columns["scale_1"]), some.scales[:, 1], rtol=1e-5)
     shown = np.stack([ply.columns[f"f_dc_{i}"] for i in range(3)], 1) * 0.28209479 + 0.5
-    np.testing.assert_allclose(linear_from_srgb(shown), colors, atol=1e-4)
+    np.testing.assert_allclose(linear_from_srgb(shown), some.values["diffuse"], atol=1e-4)
     normals = np.stack([ply.columns[n] for n in ("nx", "ny", "nz")], 1)
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-5)
+
+
+def test_splats_stand_where_the_asset_stands() -> None:
+    some = surfels()
+    turned = in_asset_frame(some, FRAME)
+    np.testing.assert_allclose(turned.means, FRAME.points(some.means), atol=1e-6)
+    np.testing.assert_allclose(turned.scales, 0.1 * some.scales, rtol=1e-6)
+    before = Rotation.from_quat(some.quats, scalar_first=True).as_matrix()
+    after = Rotation.from_quat(turned.quats, scalar_first=True).as_matrix()
+    np.testing.assert_allclose(after, FRAME.turn @ before, atol=1e-6)
     with pytest.raises(ShapeError, match=r"\[6, 7\]"):
-        write_splats(
-            tmp_path / "s.ply",
-            means=means[:6],
-            quats=quats,
-            scales=scales,
-            opacities=opacities,
-            colors=colors,
-        )
+        in_asset_frame(replace(some, means=some.means[:6]), FRAME)
+    with pytest.raises(ShapeError, match="no diffuse colour"):
+        in_asset_frame(replace(some, values={}), FRAME)
+
+
+def test_surflets_in_usd_say_what_the_ply_says(tmp_path: Path) -> None:
+    from pxr import Usd, UsdVol
+
+    some = surfels()
+    if not write_particle_field(tmp_path / "s.usdc", some, ABOUT):
+        pytest.skip("this USD has no particle fields")
+    assert usd_faults(tmp_path / "s.usdc") == []
+    stage = Usd.Stage.Open(str(tmp_path / "s.usdc"))
+    prim = stage.GetPrimAtPath("/surfels/field")
+    assert prim.HasAPI(UsdVol.ParticleFieldKernelGaussianSurfletAPI)
+
+    def values(name: str) -> np.ndarray:
+        return np.array(prim.GetAttribute(name).Get())
+
+    np.testing.assert_array_equal(values("positions"), some.means)
+    np.testing.assert_array_equal(values("scales")[:, :2], some.scales)
+    assert not values("scales")[:, 2].any()
+    np.testing.assert_array_equal(values("opacities"), some.opacities)  # linear, not logits
+    first = prim.GetAttribute("orientations").Get()[0]
+    read = [first.GetReal(), *first.GetImaginary()]
+    np.testing.assert_allclose(read, some.quats[0], atol=1e-7)
+    shown = values("radiance:sphericalHarmonicsCoefficients") * 0.28209479 + 0.5
+    np.testing.assert_allclose(linear_from_srgb(shown), some.values["diffuse"], atol=1e-4)
 
 
 def test_a_textured_mesh_survives_the_round_trip(tmp_path: Path) -> None:

@@ -147,16 +147,17 @@ def _shading(size: tuple[int, int], random: Callable[..., Tensor]) -> Run:
 
     def shade(p: Named) -> Named:
         there = pixels.to(p["alpha"].device)
-        carried, reflected, cosine, near = ops.shading_inputs(
+        diffuse, roughness, reflected, cosine, near = ops.shading_inputs(
             p["features"], p["alpha"], p["normal"], p["near"], there, view
         )
         image = ops.composite(
-            carried[:, :3], p["radiance"], there, 0.9 * p["alpha"], p["alpha"],
+            diffuse, p["radiance"], there, 0.9 * p["alpha"], p["alpha"],
             backdrop.to(p["alpha"]), p["behind"],
         )  # fmt: skip
-        agreement = ops.normal_agreement(p["normal"], p["depth"], p["alpha"], view)
+        agreement = ops.normal_agreement(p["normal"], p["depth"], p["alpha"], view, edge=1e3)
         assert near is not None
-        named = {"carried": carried, "reflected": reflected, "cosine": cosine, "near": near}
+        named = {"diffuse": diffuse, "roughness": roughness, "reflected": reflected}
+        named |= {"cosine": cosine, "near": near}
         return named | {"image": image, "agreement": agreement * height * width}
 
     return _plain(inputs, shade)

@@ -98,10 +98,12 @@ def test_shading(near: bool, behind: bool) -> None:
     alike(run)
 
 
-def test_normal_agreement() -> None:
+@pytest.mark.parametrize("edge", [float("inf"), 4.0])
+def test_normal_agreement(edge: float) -> None:
     def run() -> list[Tensor]:
         m = shades.maps(4)
-        loss = ops.normal_agreement(m["normal"], m["depth"], m["alpha"], shades.camera())
+        view = shades.camera()
+        loss = ops.normal_agreement(m["normal"], m["depth"], m["alpha"], view, edge=edge)
         (3 * loss).backward()
         return [loss.detach(), m["normal"].grad, m["depth"].grad, m["alpha"].grad]
 

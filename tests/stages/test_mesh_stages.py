@@ -1,12 +1,11 @@
 """From maps of a surface to files, through the stages as the engine runs them."""
 
 import json
-import sys
 from importlib import import_module
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
+import finished
 import numpy as np
 import pytest
 import truth
@@ -18,6 +17,7 @@ from refdgs_pipe.artifacts.mesh import Mesh, RawMesh, UvMesh
 from refdgs_pipe.artifacts.sparse_model import Ball, SparseModel
 from refdgs_pipe.artifacts.surface_map import SurfaceMap
 from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
+from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.color import linear_from_srgb
 from refdgs_pipe.errors import MeshError
@@ -25,15 +25,7 @@ from refdgs_pipe.pipeline.events import Event, Measured, Warned
 from refdgs_pipe.pipeline.stage import Job
 from refdgs_pipe.texture.texels import rasterize
 
-
-class Splats:
-    """What export needs of a field."""
-
-    means = np.zeros((2, 3), np.float32)
-    quats = np.float32([[1, 0, 0, 0]] * 2)
-    scales = np.full((2, 2), 0.1, np.float32)
-    opacities = np.full(2, 0.5, np.float32)
-    diffuse = np.full((2, 3), 0.5, np.float32)
+FIELD = finished.field()
 
 
 class Run:
@@ -80,22 +72,34 @@ def run(tmp_path: Path) -> Run:
     return Run(tmp_path)
 
 
+def photos(run: Run) -> Views:
+    return finished.views(run.folder / "photos")
+
+
 def show(monkeypatch: pytest.MonkeyPatch, view: Any) -> None:
     """Let `view(camera)` stand for the renders of a field."""
-    module = ModuleType("refdgs_pipe.training.render")
-    module.render_surface_map = lambda field, camera, **_: view(camera)  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, module.__name__, module)
+    monkeypatch.setattr(
+        "refdgs_pipe.training.render.render_surface_map", lambda field, camera, **_: view(camera)
+    )
 
 
 def test_a_procedural_scene_becomes_files(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = glossy_pair()
     show(monkeypatch, scene.surface_map)
     model = model_of(orbit(24), Ball(np.zeros(3), 1.2))
-    raw: RawMesh = run("extract", Splats(), model, voxel=0.01)
+    raw: RawMesh = run("extract", FIELD, model, voxel=0.01)
     mesh: Mesh = run("clean", raw, model, faces=8000)
     atlas: UvMesh = run("unwrap", mesh)
-    textured: TexturedMesh = run("bake", atlas, Splats(), model, size=512)
-    asset: Asset = run("export", textured, Splats(), model, longest=0.5, preview=64)
+    textured: TexturedMesh = run("bake", atlas, FIELD, model, size=512)
+    asset: Asset = run(
+        "export",
+        textured,
+        FIELD,
+        model,
+        finished.views(run.folder / "photos"),
+        longest=0.5,
+        preview=64,
+    )
 
     assert scene.distance(raw.vertices.astype(float)).mean() < 0.15 * 0.024
     assert len(mesh.faces) <= 8000
@@ -107,6 +111,7 @@ def test_a_procedural_scene_becomes_files(run: Run, monkeypatch: pytest.MonkeyPa
     assert error.mean() < 0.01
     names = {file.name for file in asset.files}
     assert {"asset.glb", "asset.usdz", "asset.obj", "splats.ply", "preview.png"} <= names
+    assert {"environment.hdr", "scene.usda"} <= names
     assert asset.faces == len(mesh.faces) and asset.texture_size == 512
     assert run.measured("clean")["faces"] == len(mesh.faces)
     assert run.measured("unwrap")["program"] == "UVAtlas"
@@ -120,10 +125,10 @@ def test_what_the_user_should_know_is_said(run: Run, monkeypatch: pytest.MonkeyP
     above = [c for c in orbit(30) if c.center[2] > 1]
     model = model_of(above, Ball(np.zeros(3), 1.2))
     whole = model_of(orbit(30), Ball(np.zeros(3), 1.2))
-    raw = run("extract", Splats(), whole, voxel=0.02)
+    raw = run("extract", FIELD, whole, voxel=0.02)
     atlas = run("unwrap", run("clean", raw, whole, faces=2000))
-    textured = run("bake", atlas, Splats(), model, size=128)
-    run("export", textured, Splats(), model, preview=64)
+    textured = run("bake", atlas, FIELD, model, size=128)
+    run("export", textured, FIELD, model, photos(run), preview=64)
     (seen,) = run.warnings()
     assert "was seen by no camera" in seen
     assert "export.longest" in run.measured("export")["scale"]
@@ -133,7 +138,7 @@ def test_an_empty_field_stops_at_extract(run: Run, monkeypatch: pytest.MonkeyPat
     show(monkeypatch, Procedural((glossy_pair().solids[0],), waves).surface_map)
     model = model_of(orbit(4), Ball(np.array([9.0, 0, 0]), 0.5))
     with pytest.raises(MeshError, match="no view shows a surface"):
-        run("extract", Splats(), model)
+        run("extract", FIELD, model)
 
 
 def test_texture_sizes_are_powers_of_two(run: Run) -> None:
@@ -152,10 +157,12 @@ def test_true_maps_give_the_true_asset(
     # patterns at 2 texels a pixel), normals 0.3 to 0.5 degrees against 1.5 to 1.9 of the mesh.
     show(monkeypatch, lambda camera: truth.surface_map(name, camera))
     model = truth.sparse_model(name)
-    raw = run("extract", Splats(), model)
+    raw = run("extract", FIELD, model)
     mesh = run("clean", raw, model)
-    textured = run("bake", run("unwrap", mesh), Splats(), model, size=1024)
-    asset = run("export", textured, Splats(), model, preview=240)
+    textured = run("bake", run("unwrap", mesh), FIELD, model, size=1024)
+    asset = run(
+        "export", textured, FIELD, model, finished.views(run.folder / "photos"), preview=240
+    )
     found = truth.distances(mesh.vertices, *truth.mesh(name))
     assert found.mean() < 0.2 * 0.004 * 2 * model.ball.radius
     errors = np.array([truth.errors(textured, truth.surface_map(name, c)) for c in model.cameras])

@@ -1,0 +1,347 @@
+// LANES covered pixels at a time, or LANES pixels along a row. Covered pixels mostly lie side by side, where
+// they are read and written as vectors; elsewhere one by one.
+
+template <class S> using V3 = Vec3<typename Simd<S>::vf>;
+
+template <class S> inline V3<S> rotate(const Mat3<S>& A, const V3<S>& v) {
+  return {A.m[0] * v.x + A.m[1] * v.y + A.m[2] * v.z, A.m[3] * v.x + A.m[4] * v.y + A.m[5] * v.z,
+          A.m[6] * v.x + A.m[7] * v.y + A.m[8] * v.z};
+}
+template <class S> inline V3<S> rotate_back(const Mat3<S>& A, const V3<S>& v) {
+  return {A.m[0] * v.x + A.m[3] * v.y + A.m[6] * v.z, A.m[1] * v.x + A.m[4] * v.y + A.m[7] * v.z,
+          A.m[2] * v.x + A.m[5] * v.y + A.m[8] * v.z};
+}
+
+// v / sqrt(|v|^2 + eps) and its backward pass.
+template <class S> struct UnitVector {
+  V3<S> v, unit;
+  typename Simd<S>::vf scale;
+  UnitVector(const V3<S>& a, S eps) : v(a), scale(reciprocal(sqrt_of(dot(a, a) + eps))) { unit = scale * a; }
+  V3<S> vjp(const V3<S>& g) const { return scale * g - (scale * scale * scale * dot(v, g)) * v; }
+};
+
+// Natural logarithm of positive numbers, polynomial of Cephes logf.
+inline vf32 ln_of(vf32 x) {
+  const vi32 bits = (vi32)x;
+  vi32 exponent = (bits >> 23) - 127;
+  vf32 m = (vf32)((bits & 0x7fffff) | 0x3f800000);
+  const vi32 large = m > 1.41421356f;
+  m = large ? m * 0.5f : m;
+  exponent = large ? exponent + 1 : exponent;
+  const vf32 t = m - 1, z = t * t, e = __builtin_convertvector(exponent, vf32);
+  vf32 p = 7.0376836292e-2f * t - 1.1514610310e-1f;
+  p = p * t + 1.1676998740e-1f;
+  p = p * t - 1.2420140846e-1f;
+  p = p * t + 1.4249322787e-1f;
+  p = p * t - 1.6668057665e-1f;
+  p = p * t + 2.0000714765e-1f;
+  p = p * t - 2.4999993993e-1f;
+  p = p * t + 3.3333331174e-1f;
+  return e * 0.693359375f + (t + (p * t * z - 0.5f * z - e * 2.12194440e-4f));
+}
+inline Simd<double>::vf ln_of(Simd<double>::vf x) {
+  for (int i = 0; i < LANES; ++i) x[i] = __builtin_log(x[i]);
+  return x;
+}
+
+// LANES covered pixels from number `first` on; past the last one, the last again.
+template <class S> struct Spots {
+  using vi = typename Simd<S>::vi;
+  int64_t first;
+  int lanes;
+  bool run;  // LANES pixels side by side
+  vi x, y;
+
+  Spots(const int64_t* pixels, int64_t from, int64_t end, int width)
+      : first(from), lanes(end - from < LANES ? int(end - from) : LANES) {
+    for (int i = 0; i < LANES; ++i) x[i] = int32_t(pixels[from + (i < lanes ? i : lanes - 1)]);
+    using vf = typename Simd<S>::vf;
+    y = __builtin_convertvector(__builtin_convertvector(x, vf) * S(1.0 / width), vi);  // one off at most
+    x -= y * width;
+    y = x < 0 ? y - 1 : x >= width ? y + 1 : y;
+    x = x < 0 ? x + width : x >= width ? x - width : x;
+    run = lanes == LANES && x[LANES - 1] - x[0] == LANES - 1 && y[LANES - 1] == y[0];
+  }
+};
+
+template <class S> inline typename Simd<S>::vf gather(const Image<S>& image, const Spots<S>& at, int c) {
+  const S* data = image.data + c * image.channel;
+  if (at.run && image.column == 1) return load(data + at.y[0] * image.row + at.x[0]);
+  alignas(64) S out[LANES];
+  for (int i = 0; i < LANES; ++i) out[i] = data[at.y[i] * image.row + at.x[i] * image.column];
+  return load(out);
+}
+template <class S> inline void scatter(S* plane, int width, const Spots<S>& at, typename Simd<S>::vf v) {
+  if (at.run) return store(plane + int64_t(at.y[0]) * width + at.x[0], v);
+  for (int i = 0; i < at.lanes; ++i) plane[int64_t(at.y[i]) * width + at.x[i]] = v[i];
+}
+template <class S> inline typename Simd<S>::vf pick(Rows<const S> rows, const Spots<S>& at, int c) {
+  const S* data = rows.data + at.first * rows.row + c * rows.column;
+  if (at.lanes == LANES && rows.row == 1) return load(data);
+  alignas(64) S out[LANES];
+  for (int i = 0; i < LANES; ++i) out[i] = data[(i < at.lanes ? i : at.lanes - 1) * rows.row];
+  return load(out);
+}
+template <class S> inline void put(Rows<S> rows, const Spots<S>& at, int c, typename Simd<S>::vf v) {
+  S* data = rows.data + at.first * rows.row + c * rows.column;
+  if (at.lanes == LANES && rows.row == 1) return store(data, v);
+  for (int i = 0; i < at.lanes; ++i) data[i * rows.row] = v[i];
+}
+template <class S> inline V3<S> pick3(Rows<const S> rows, const Spots<S>& at) {
+  return {pick(rows, at, 0), pick(rows, at, 1), pick(rows, at, 2)};
+}
+
+// The mirror at some pixels: the ray, the surface's normal, where the ray goes.
+template <class S> struct Mirror {
+  V3<S> ray;
+  UnitVector<S> normal;
+  typename Simd<S>::vf towards;
+  UnitVector<S> out;
+
+  Mirror(const Covered<S>& in, const Spots<S>& at)
+      : ray(world_ray(in.view, at)),
+        normal({gather(in.normal, at, 0), gather(in.normal, at, 1), gather(in.normal, at, 2)}, S(1e-16)),
+        towards(-dot(normal.unit, ray)), out(ray + (2 * towards) * normal.unit, S(1e-16)) {}
+
+  static V3<S> world_ray(const View<S>& view, const Spots<S>& at) {
+    using vf = typename Simd<S>::vf;
+    const V3<S> r{(__builtin_convertvector(at.x, vf) + (S(0.5) - view.cx)) * (1 / view.fx),
+                  (__builtin_convertvector(at.y, vf) + (S(0.5) - view.cy)) * (1 / view.fy), all(S(1))};
+    return rotate(view.world_from_cam, UnitVector<S>(r, S(0)).unit);
+  }
+};
+
+template <class S> void shade_inputs(const Covered<S>& in, Band band, const Inputs<S>& out) {
+  using vf = typename Simd<S>::vf;
+  for (int64_t i = band.begin; i < band.end; i += LANES) {
+    const Spots<S> at(in.pixels, i, band.end, in.view.width);
+    const vf whole = reciprocal(gather(in.alpha, at, 0));
+    for (int c = 0; c < 3; ++c) put(out.diffuse, at, c, gather(in.features, at, c) * whole);
+    put(out.roughness, at, 0, gather(in.features, at, 3) * whole);
+    const Mirror<S> mirror(in, at);
+    put(out.reflected, at, 0, mirror.out.unit.x);
+    put(out.reflected, at, 1, mirror.out.unit.y);
+    put(out.reflected, at, 2, mirror.out.unit.z);
+    put(out.cosine, at, 0, min_of(max_of(mirror.towards, vf{}), all(S(1))));
+    if (!in.near.data) continue;
+    for (int c = 0; c < 4; ++c) put(out.near, at, c, gather(in.near, at, c));
+  }
+}
+
+template <class S>
+void shade_inputs_bwd(const Covered<S>& in, Band band, const Inputs<const S>& v, const MapGrads<S>& grads) {
+  using vf = typename Simd<S>::vf;
+  const int width = in.view.width;
+  const int64_t plane = int64_t(width) * in.view.height, first = int64_t(band.first) * width;
+  const auto clear = [&](S* planes, int count) {
+    for (int c = 0; c < count; ++c)
+      __builtin_memset(planes + c * plane + first, 0, size_t(band.last - band.first) * width * sizeof(S));
+  };
+  clear(grads.features, in.channels);
+  clear(grads.alpha, 1);
+  clear(grads.normal, 3);
+  if (in.near.data) clear(grads.near, 4);
+  for (int64_t i = band.begin; i < band.end; i += LANES) {
+    const Spots<S> at(in.pixels, i, band.end, width);
+    const vf whole = reciprocal(gather(in.alpha, at, 0));
+    vf v_alpha{};
+    for (int c = 0; c < 4; ++c) {
+      const vf g = (c < 3 ? pick(v.diffuse, at, c) : pick(v.roughness, at, 0)) * whole;
+      scatter(grads.features + c * plane, width, at, g);
+      v_alpha -= g * gather(in.features, at, c) * whole;
+    }
+    scatter(grads.alpha, width, at, v_alpha);
+    const Mirror<S> mirror(in, at);
+    const V3<S> n = mirror.normal.unit, v_out = mirror.out.vjp(pick3(v.reflected, at));
+    const auto inside = at_most(vf{}, mirror.towards) & at_most(mirror.towards, all(S(1)));
+    const vf v_towards = 2 * dot(n, v_out) + keep(inside, pick(v.cosine, at, 0));
+    const V3<S> v_normal = mirror.normal.vjp((2 * mirror.towards) * v_out - v_towards * mirror.ray);
+    scatter(grads.normal, width, at, v_normal.x);
+    scatter(grads.normal + plane, width, at, v_normal.y);
+    scatter(grads.normal + 2 * plane, width, at, v_normal.z);
+    if (!in.near.data) continue;
+    for (int c = 0; c < 4; ++c) scatter(grads.near + c * plane, width, at, pick(v.near, at, c));
+  }
+}
+
+template <class V, class S> inline V clip_linear(V linear, S least) {
+  return min_of(max_of(linear, V{} + least), V{} + 1);  // the operand order turns a NaN into the bound
+}
+template <class S> inline typename Simd<S>::vf srgb_of(typename Simd<S>::vf x) {
+  const auto curve = S(1.055) * exp_of(ln_of(x) * S(1 / 2.4)) - S(0.055);
+  return select(at_most(x, all(S(0.0031308))), S(12.92) * x, curve);
+}
+
+// LANES pixels along a row from x on; past the row's end, its last pixel.
+template <class S> inline typename Simd<S>::vf along(const Image<S>& image, int64_t y, int x, int width, int c) {
+  const S* row = image.data + y * image.row + c * image.channel;
+  if (image.column == 1 && x >= 0 && x + LANES <= width) return load(row + x);
+  alignas(64) S out[LANES];
+  for (int i = 0; i < LANES; ++i) {
+    const int at = x + i < 0 ? 0 : x + i < width ? x + i : width - 1;
+    out[i] = row[at * image.column];
+  }
+  return load(out);
+}
+template <class S> inline void write_along(S* row, int x, int width, typename Simd<S>::vf v) {
+  if (x + LANES <= width) return store(row + x, v);
+  for (int i = 0; x + i < width; ++i) row[x + i] = v[i];
+}
+
+template <class S> void shade_composite(const Composite<S>& in, Band band, S* image) {
+  using vf = typename Simd<S>::vf;
+  const int64_t plane = int64_t(in.width) * in.height;
+  for (int64_t y = band.first; y < band.last; ++y)
+    for (int x = 0; x < in.width; x += LANES) {
+      const vf through = 1 - along(in.alpha, y, x, in.width, 0);
+      for (int c = 0; c < 3; ++c) {
+        vf value = through * in.backdrop[c];
+        if (in.behind.data) value += along(in.behind, y, x, in.width, c);
+        write_along(image + c * plane + y * in.width, x, in.width, value);
+      }
+    }
+  for (int64_t i = band.begin; i < band.end; i += LANES) {
+    const Spots<S> at(in.pixels, i, band.end, in.width);
+    const vf a = gather(in.object_alpha, at, 0);
+    for (int c = 0; c < 3; ++c) {
+      const vf linear = pick(in.diffuse, at, c) + pick(in.radiance, at, c);
+      S* to = image + c * plane;
+      const Image<S> so_far{to, in.width, 1, plane};
+      scatter(to, in.width, at, gather(so_far, at, 0) + a * srgb_of<S>(clip_linear(linear, S(1e-6))));
+    }
+  }
+}
+
+template <class S>
+void shade_composite_bwd(const Composite<S>& in, Band band, const Image<S>& v_image, S* v_linear, S* v_object_alpha,
+                         S* v_alpha) {
+  using vf = typename Simd<S>::vf;
+  for (int64_t y = band.first; y < band.last; ++y)
+    for (int x = 0; x < in.width; x += LANES) {
+      vf sum{};
+      for (int c = 0; c < 3; ++c) sum -= along(v_image, y, x, in.width, c) * in.backdrop[c];
+      write_along(v_alpha + y * in.width, x, in.width, sum);
+      write_along(v_object_alpha + y * in.width, x, in.width, vf{});
+    }
+  for (int64_t i = band.begin; i < band.end; i += LANES) {
+    const Spots<S> at(in.pixels, i, band.end, in.width);
+    const vf a = gather(in.object_alpha, at, 0);
+    vf v_a{};
+    for (int c = 0; c < 3; ++c) {
+      const vf linear = pick(in.diffuse, at, c) + pick(in.radiance, at, c), q = clip_linear(linear, S(1e-6));
+      const vf color = srgb_of<S>(q), v_color = gather(v_image, at, c);
+      v_a += v_color * color;
+      const vf curve = (color + S(0.055)) * reciprocal(S(2.4) * q);
+      const vf g = a * v_color * select(at_most(q, all(S(0.0031308))), all(S(12.92)), curve);
+      const auto clipped = less(all(S(1)), linear) & less(g, vf{});  // a clipped highlight is never pushed up
+      put(Rows<S>{v_linear, 1, in.count}, at, c, keep(~(less(linear, all(S(1e-6))) | clipped), g));
+    }
+    scatter(v_object_alpha, in.width, at, v_a);
+  }
+}
+
+// One image row's share of the agreement and its gradient by the steps between neighbouring points,
+// six lines from `slopes` on: down (3), right (3); and by the normal, unless the row is another band's.
+template <class S> double agreement_row(const Agreement<S>& in, int64_t y, bool own, S* slopes) {
+  using vf = typename Simd<S>::vf;
+  const View<S>& view = in.view;
+  const int width = view.width;
+  const int64_t plane = int64_t(width) * view.height, line = slope_row(width);
+  const auto point = [&](int64_t py, vf x, int shift) {
+    const int at = int(x[0]) + shift;
+    const vf a = along(in.alpha, py, at, width, 0), z = along(in.depth, py, at, width, 0);
+    const vf depth = z * reciprocal(max_of(a, all(S(1e-6))));
+    return V3<S>{depth * ((x + (shift + S(0.5) - view.cx)) * (1 / view.fx)),
+                 depth * ((S(py) + S(0.5) - view.cy) / view.fy), depth};
+  };
+  double sum = 0;
+  vf counting{};
+  for (int i = 0; i < LANES; ++i) counting[i] = S(i);
+  for (int x0 = 0; x0 < width; x0 += LANES) {
+    const vf x = counting + S(x0);
+    V3<S> parts[3] = {};
+    if (y > 0 && y < view.height - 1) {
+      const auto inner = less(vf{}, x) & less(x, all(S(width - 1)));
+      vf weight = keep(inner, along(in.alpha, y, x0, width, 0));
+      if (any_lane(less(vf{}, weight) | less(weight, vf{}))) {
+        const V3<S> above = point(y - 1, x, 0), below = point(y + 1, x, 0), left = point(y, x, -1);
+        const V3<S> here = point(y, x, 0), next = point(y, x, 1), down = below - above, right = next - left;
+        const vf bend = max_of(abs_of(above.z + below.z - 2 * here.z), abs_of(left.z + next.z - 2 * here.z));
+        weight = keep(less(bend * view.fx, in.edge * here.z), weight);
+        const UnitVector<S> depth_normal(cross(down, right), S(1e-24));
+        const UnitVector<S> normal({along(in.normal, y, x0, width, 0), along(in.normal, y, x0, width, 1),
+                                    along(in.normal, y, x0, width, 2)}, S(1e-16));
+        const V3<S> seen = rotate_back(view.world_from_cam, normal.unit);
+        const vf term = weight * (1 - dot(seen, depth_normal.unit)), g = weight * -in.scale;
+        for (int i = 0; i < LANES; ++i) sum += double(term[i]);
+        const V3<S> v_cross = depth_normal.vjp(g * seen);
+        parts[0] = cross(right, v_cross);
+        parts[1] = cross(v_cross, down);
+        parts[2] = normal.vjp(g * rotate(view.world_from_cam, depth_normal.unit));
+      }
+    }
+    if (!in.v_normal) continue;
+    for (int k = 0; k < 2; ++k) {
+      store(slopes + (3 * k) * line + x0, parts[k].x);
+      store(slopes + (3 * k + 1) * line + x0, parts[k].y);
+      store(slopes + (3 * k + 2) * line + x0, parts[k].z);
+    }
+    if (!own) continue;
+    S* v_normal = in.v_normal + y * width;
+    write_along(v_normal, x0, width, parts[2].x);
+    write_along(v_normal + plane, x0, width, parts[2].y);
+    write_along(v_normal + 2 * plane, x0, width, parts[2].z);
+  }
+  return sum;
+}
+
+// Gradients by depth and alpha of a row, from the slopes of it and of its neighbours.
+template <class S>
+void agreement_row_vjp(const Agreement<S>& in, int64_t y, const S* above, const S* here, const S* below) {
+  using vf = typename Simd<S>::vf;
+  const View<S>& view = in.view;
+  const int width = view.width;
+  const int64_t line = slope_row(width);
+  const auto part = [&](const S* slopes, int first, int x) {
+    const Image<S> lines{slopes, 0, 1, line};
+    return V3<S>{along(lines, 0, x, width, first), along(lines, 0, x, width, first + 1),
+                 along(lines, 0, x, width, first + 2)};
+  };
+  for (int x = 0; x < width; x += LANES) {
+    // a border's right slope is zero, so the pixel repeated past it adds nothing
+    const V3<S> v = part(above, 0, x) - part(below, 0, x) + part(here, 3, x - 1) - part(here, 3, x + 1);
+    vf columns{};
+    for (int i = 0; i < LANES; ++i) columns[i] = S(x + i);
+    const vf v_z = v.x * ((columns + (S(0.5) - view.cx)) * (1 / view.fx)) +
+                   v.y * ((S(y) + S(0.5) - view.cy) / view.fy) + v.z;
+    const vf a = along(in.alpha, y, x, width, 0), d = along(in.depth, y, x, width, 0);
+    const vf share = reciprocal(max_of(a, all(S(1e-6))));
+    write_along(in.v_depth + y * width, x, width, v_z * share);
+    write_along(in.v_alpha + y * width, x, width, select(less(a, all(S(1e-6))), vf{}, -v_z * d * share * share));
+  }
+}
+
+template <class S> void shade_agreement(const Agreement<S>& in, Band band, S* scratch, double* sums) {
+  const int64_t row = 6 * slope_row(in.view.width);
+  const auto slopes = [&](int y) { return scratch + (y + kSlopeRows) % kSlopeRows * row; };
+  const auto compute = [&](int y) {
+    if (y >= 0 && y < in.view.height) return agreement_row(in, y, y >= band.first && y < band.last, slopes(y));
+    __builtin_memset(slopes(y), 0, size_t(row) * sizeof(S));
+    return 0.0;
+  };
+  if (!in.v_normal) {
+    for (int y = band.first; y < band.last; ++y) sums[y - band.first] = compute(y);
+    return;
+  }
+  compute(band.first - 1);
+  sums[0] = compute(band.first);
+  for (int y = band.first; y < band.last; ++y) {
+    const double next = compute(y + 1);
+    if (y + 1 < band.last) sums[y + 1 - band.first] = next;
+    agreement_row_vjp(in, y, slopes(y - 1), slopes(y), slopes(y + 1));
+  }
+}
+
+template <class S> constexpr ShadeKernels<S> shade_kernels() {
+  return {shade_inputs<S>, shade_inputs_bwd<S>, shade_composite<S>, shade_composite_bwd<S>, shade_agreement<S>};
+}

@@ -1,0 +1,173 @@
+"""What was written and how it was made: files and their checks, scores, stages, settings."""
+
+import hashlib
+import json
+from pathlib import Path
+
+from refdgs_pipe.artifacts.asset import Asset, AssetFile
+from refdgs_pipe.artifacts.scores import VIEW_FIGURES, Scores
+from refdgs_pipe.reporting import plots
+from refdgs_pipe.reporting.facts import Drawing, Facts, Result
+from refdgs_pipe.reporting.html import Content, Html, joined, table, tag
+from refdgs_pipe.wording import duration, figure, size
+
+_LABELS = {
+    "psnr": ("PSNR", "dB", 2),
+    "psnr_per_channel": ("PSNR by channel", "dB", 2),
+    "ssim": ("SSIM", "", 4),
+    "lpips": ("LPIPS", "", 4),
+    "normal_mae_deg": ("normal error, all pixels", "degrees", 2),
+    "normal_mae_foreground_deg": ("normal error, object", "degrees", 2),
+    "depth_mae": ("depth error", "units", 5),
+    "alpha_iou": ("alpha IoU", "", 4),
+}
+_SURFACE = {
+    "paper_chamfer": "Chamfer distance, points seen",
+    "chamfer": "Chamfer distance, surfaces",
+    "accuracy": "mesh to truth",
+    "completeness": "truth to mesh",
+}
+
+
+def scores(facts: Facts, _: Drawing) -> Html:
+    """The evaluation's figures: means, the surface's, and each view's."""
+    found = facts.load(Scores)
+    kind = "held-out" if found.split == "test" else "training (none was held out)"
+    rows: list[tuple[Content, ...]] = []
+    for name in VIEW_FIGURES:
+        label, unit, digits = _LABELS.get(name, (name, "", 4))
+        value = found.mean(name)
+        words = "not computed" if value is None else f"{value:.{digits}f} {unit}".rstrip()
+        rows.append((label, words, facts.plain(found.notes.get(name, ""))))
+    rows += _surface(facts, found)
+    views = [
+        (view.name, *(_cell(getattr(view, name), _LABELS[name][2]) for name in VIEW_FIGURES))
+        for view in sorted(found.views, key=lambda view: view.psnr)
+    ]
+    names = tuple(_LABELS[name][0] for name in VIEW_FIGURES)
+    each = tag("details", tag("summary", "Each view"), table(("view", *names), list(views)))
+    words = f"Means over {len(found.views)} {kind} views. docs/evaluation.md says what each means."
+    return joined(tag("p", words), table(("figure", "value", "remark"), rows), each)
+
+
+def _surface(facts: Facts, found: Scores) -> list[tuple[Content, ...]]:
+    surface = found.surface
+    if surface is None:
+        return [("surface", "not computed", facts.plain(found.notes.get("surface", "")))]
+    rows: list[tuple[Content, ...]] = []
+    for name, label in _SURFACE.items():
+        percent = surface.percent(getattr(surface, name))
+        words = "not computed" if percent is None else f"{percent:.3f} %"
+        rows.append((label, words, "of the diagonal of the true surface's box"))
+    for name, part in (("f_score_half_percent", "0.5 %"), ("f_score_one_percent", "1 %")):
+        value = getattr(surface, name)
+        words = "not computed" if value is None else f"{value:.4f}"
+        rows.append((f"F-score, {part}", words, f"share within {part} of the diagonal"))
+    return rows
+
+
+def _cell(value: float | None, digits: int) -> str:
+    return "" if value is None else f"{value:.{digits}f}"
+
+
+def files(facts: Facts, _: Drawing) -> Html:
+    """The exported files, and what the validators say of them as they lie there now."""
+    found, folder = facts.load(Asset), facts.folder(Asset)
+    result = facts.result(Asset)
+    rows: list[tuple[Content, ...]] = []
+    for file in found.files:
+        faults = _faults(folder, file)
+        verdict = tag("b", "bad" if faults else "ok", class_="bad" if faults else "ok")
+        words = joined(verdict, f" {'; '.join(faults[:3])}") if faults else verdict
+        rows.append((file.name, size(file.bytes), words, _checks(file.name)))
+    facts_of = [
+        f"{name}: {figure(value)} {unit}".rstrip()
+        for name, (value, unit) in (result.measures if result else {}).items()
+    ]
+    return joined(
+        table(("file", "size", "check", "what was checked"), rows),
+        tag("p", "; ".join(facts_of), class_="hint"),
+    )
+
+
+def _faults(folder: Path, file: AssetFile) -> list[str]:
+    from refdgs_pipe.export.validate import glb_faults, usd_faults
+
+    path = folder / file.name
+    if not path.is_file():
+        return ["missing"]
+    if hashlib.sha256(path.read_bytes()).hexdigest() != file.sha256:
+        return ["changed since it was written"]
+    if path.suffix == ".glb":
+        return glb_faults(path)
+    return usd_faults(path) if path.suffix in (".usda", ".usdc", ".usdz") else []
+
+
+def _checks(name: str) -> str:
+    if name.endswith(".glb"):
+        return "hash; structure, buffers, unit normals and tangents, bounds"
+    if name.endswith((".usda", ".usdc", ".usdz")):
+        return "hash; USD's validators, up axis, unit" + (
+            ", package for AR" if name.endswith(".usdz") else ""
+        )
+    return "hash"
+
+
+def stages(facts: Facts, _: Drawing) -> Html:
+    """How long each stage took, and whether the last run made or reused it."""
+    rows: list[tuple[Content, ...]] = []
+    lengths = []
+    for result in facts.results:
+        words, kind = _cache(facts, result)
+        made = result.manifest
+        took = duration(made.seconds) if made else ""
+        figures = ", ".join(
+            f"{name} {figure(value)} {unit}".rstrip()
+            for name, (value, unit) in result.measures.items()
+        )
+        key = made.origin.key if made else ""
+        rows.append((result.name, took, words, facts.plain(figures), tag("code", key)))
+        lengths.append((result.name, made.seconds if made else 0.0, f"{took} {kind}", kind))
+    hits = sum(kind == "reused" for _, _, _, kind in lengths)
+    return joined(
+        tag("p", f"{hits} of {len(rows)} results were reused by the last run that made anything."),
+        plots.bars(lengths),
+        table(("stage", "took", "cache", "figures", "key"), rows),
+    )
+
+
+def _cache(facts: Facts, result: Result) -> tuple[str, str]:
+    if result.manifest is None:
+        return f"never run: {facts.plain(result.step.reason)}", "missing"
+    if not result.is_current:
+        return f"from an older run: {facts.plain(result.step.reason)}", "stale"
+    if result.manifest.note:
+        return f"adopted from {result.manifest.note}", "adopted"
+    is_made = result.name in facts.notes.made
+    made = result.manifest.made_utc.replace("T", " ").removesuffix("Z") + " UTC"
+    when = made if is_made else f"reused; made {made}"
+    return when, "made" if is_made else "reused"
+
+
+def settings(facts: Facts, _: Drawing) -> Html:
+    """The recipe, what was set by hand, and every setting."""
+    changed = ", ".join(facts.changed) or "nothing"
+    rows: list[tuple[Content, ...]] = [
+        (f"{stage}.{key}", facts.plain(json.dumps(value, ensure_ascii=False)))
+        for stage, group in facts.settings.items()
+        for key, value in group.items()
+    ]
+    words = tag(
+        "p", "Recipe ", tag("b", facts.recipe), "; set by hand: ", facts.plain(changed), "."
+    )
+    every = tag("details", tag("summary", "Every setting"), table(("setting", "value"), rows))
+    programs = {
+        name: version
+        for result in facts.results
+        if result.manifest
+        for name, version in result.manifest.origin.programs.items()
+    }
+    used = ", ".join(f"{name} {version}" for name, version in sorted(programs.items()))
+    return joined(
+        words, tag("p", f"Libraries that the results depend on: {used or 'none'}."), every
+    )

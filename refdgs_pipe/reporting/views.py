@@ -1,0 +1,161 @@
+"""The trained field: how training went, how its views compare with photos, and what it learned."""
+
+from contextlib import suppress
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from refdgs_pipe.artifacts.asset import Asset
+from refdgs_pipe.artifacts.photos import Photo, load_photo
+from refdgs_pipe.artifacts.scores import Scores
+from refdgs_pipe.artifacts.sparse_model import SparseModel
+from refdgs_pipe.artifacts.surfel_field import SurfelField
+from refdgs_pipe.artifacts.views import Views
+from refdgs_pipe.camera import Camera
+from refdgs_pipe.color import srgb_from_linear
+from refdgs_pipe.errors import CorruptError, RefdgsError
+from refdgs_pipe.metrics import psnr
+from refdgs_pipe.reporting import plots
+from refdgs_pipe.reporting.facts import Drawing, Facts
+from refdgs_pipe.reporting.html import Html, figure, image, joined, tag
+from refdgs_pipe.reporting.pictures import ERROR_FULL, eight_bits, error_map, webp, with_alpha
+from refdgs_pipe.wording import counted
+
+F32 = NDArray[np.float32]
+DEVICE = "cpu"  # some small pictures: no GPU is worth waking up for them
+_LONGEST = 440  # px of what is rendered
+_COMPARED, _MAPPED = 6, 3  # views
+
+
+def training(facts: Facts, _: Drawing) -> Html:
+    """Loss and PSNR over the steps, from the log of the run that trained."""
+    curve = facts.notes.curve
+    if len(curve) < 2:
+        return tag("p", "The log of the run that trained is not there any more.", class_="none")
+    loss = plots.curve([(step, y) for step, y, _ in curve], label="loss over steps", log=True)
+    fit = plots.curve([(step, y) for step, _, y in curve], label="PSNR over steps")
+    return tag(
+        "div",
+        figure(loss, "Loss over the steps of training, running mean"),
+        figure(fit, "PSNR of the training photos, dB, running mean"),
+        class_="pair",
+    )
+
+
+def comparisons(facts: Facts, drawing: Drawing) -> Html:
+    """Photo, render and error of held-out views, from the worst to the best."""
+    from refdgs_pipe.training.render import render_image
+
+    views = facts.load(Views)
+    model = facts.load(SparseModel)
+    field = facts.load(SurfelField)
+    cameras = chosen_cameras(facts, model, _COMPARED)
+    held = any(camera.split == "test" for camera in cameras)
+    rows = []
+    for camera in cameras:
+        scale = camera.fitted(_LONGEST).width / camera.width
+        photo = load_photo(views, model, camera, scale=scale)
+        target = _over_white(photo)
+        drawn = render_image(field, photo.camera, device=DEVICE, threads=drawing.threads)
+        rows.append(_row(views[camera.name].source or camera.name, photo, target, drawn))
+    kind = "held out from training" if held else "used in training (none was held out)"
+    words = (
+        f"Views {kind}, from the worst to the best by PSNR. The error is the mean absolute "
+        f"difference of the channels; {ERROR_FULL:g} of white or more is the brightest colour."
+    )
+    open_ones = {0, len(rows) // 2, len(rows) - 1}  # worst, middle, best; the others on demand
+    first = [row for i, row in enumerate(rows) if i in open_ones]
+    more = [row for i, row in enumerate(rows) if i not in open_ones]
+    others = Html("")
+    if more:
+        others = tag("details", tag("summary", counted(len(more), "more view")), *more)
+    return joined(tag("p", words), *first, others)
+
+
+def chosen_cameras(facts: Facts, model: SparseModel, count: int) -> list[Camera]:
+    """Held-out cameras, or training ones where none was held out: evenly from worst to best."""
+    held = [camera for camera in model.cameras if camera.split == "test"] or list(model.cameras)
+    with suppress(RefdgsError):  # not there, or from an older version
+        by_name = {score.name: score.psnr for score in facts.load(Scores).views}
+        held = sorted(held, key=lambda camera: by_name.get(camera.name, np.inf))
+    return [held[i] for i in np.unique(np.linspace(0, len(held) - 1, count).round().astype(int))]
+
+
+def _row(name: str, photo: Photo, target: F32, drawn: F32) -> Html:
+    seen = photo.valid
+    quality = psnr(drawn[seen], target[seen]) if seen.any() else float("nan")
+    height, width = target.shape[:2]
+
+    def picture(pixels: NDArray[np.uint8], kind: str) -> Html:
+        return figure(image(webp(pixels), f"{kind} of {name}", (width, height)), kind)
+
+    return tag(
+        "div",
+        tag("h3", name, tag("small", f" {quality:.2f} dB")),
+        tag(
+            "div",
+            picture(eight_bits(target), "photo"),
+            picture(eight_bits(drawn), "render"),
+            picture(error_map(drawn, target, seen), "error"),
+            class_="triple",
+        ),
+    )
+
+
+def maps(facts: Facts, drawing: Drawing) -> Html:
+    """Normals, diffuse colour, roughness and reflections of some views."""
+    from refdgs_pipe.training.render import render_surface_map
+
+    model = facts.load(SparseModel)
+    field = facts.load(SurfelField)
+    rows = []
+    for camera in chosen_cameras(facts, model, _MAPPED):
+        sized = camera.fitted(_LONGEST)
+        seen = render_surface_map(field, sized, device=DEVICE, threads=drawing.threads)
+        layers: tuple[tuple[str, F32], ...] = (
+            ("normal, world", seen.normal * 0.5 + 0.5),
+            ("diffuse", srgb_from_linear(seen.diffuse)),
+            ("roughness, white is rough", seen.roughness),
+            ("reflections", srgb_from_linear(seen.specular)),
+        )
+        size = (sized.width, sized.height)
+        pictures = [
+            figure(
+                image(webp(with_alpha(values, seen.alpha)), f"{kind} of {camera.name}", size), kind
+            )
+            for kind, values in layers
+        ]
+        rows.append(tag("div", *pictures, class_="quad"))
+    words = (
+        "What the field holds: pixels of the object only. Normals are in the world's axes, "
+        "n / 2 + 1/2. Reflections are the light that the surface mirrors; brighter than white is "
+        "clipped."
+    )
+    return joined(tag("p", words), *rows)
+
+
+def surroundings(facts: Facts, _: Drawing) -> Html:
+    """The light that the object stood in, as it mirrors it."""
+    path = facts.folder(Asset) / "environment.hdr"
+    if not path.exists():
+        return tag("p", "The export holds none: the field is matte, or older.", class_="none")
+    light = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    if light is None:
+        raise CorruptError(f"{path.name}: not a readable picture")
+    pixels = webp(eight_bits(srgb_from_linear(np.asarray(light[..., ::-1], np.float32))))
+    size = (light.shape[1], light.shape[0])
+    words = (
+        "environment.hdr: what a perfect mirror in the object's place would show, up above, the "
+        "front (+Z) in the middle, the right (+X) on its left. Sides that the photos did not see "
+        "mirrored are guesses. Brighter than white is clipped here."
+    )
+    picture = image(pixels, "lat-long picture of the surroundings", size, class_="wide")
+    return joined(tag("p", words), picture)
+
+
+def _over_white(photo: Photo) -> F32:
+    if photo.mask is None:
+        return photo.rgb
+    m = photo.mask[..., None]
+    return np.asarray(photo.rgb * m + (1 - m), np.float32)

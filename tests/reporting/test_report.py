@@ -1,0 +1,276 @@
+"""The report is one safe page, says what is there, and never stumbles over what is not."""
+
+import re
+import shutil
+import subprocess
+from collections.abc import Iterator
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import finished
+import pytest
+
+from refdgs_pipe.pipeline.store import Store
+from refdgs_pipe.reporting import asset, html
+from refdgs_pipe.reporting import facts as facts_module
+from refdgs_pipe.reporting.facts import Drawing, Facts, collect
+from refdgs_pipe.reporting.overview import judge
+from refdgs_pipe.reporting.page import SECTIONS, page, write_report
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "google-chrome", "chrome"))), None)
+ABOUT: dict[str, Any] = {
+    "recipe": "glossy",
+    "changed": ("bake.size=64",),
+    "settings": {"bake": {"size": 64, "note": "<i>"}},
+}
+
+
+def facts_of(root: Path, **options: Any) -> Facts:
+    store = Store(root)
+    found = finished.steps(store, **options)
+    return collect(store, found, about=ABOUT, private=[root.parent])
+
+
+@pytest.fixture(scope="module", autouse=True)
+def small_frames() -> Iterator[None]:
+    """The turntable takes most of the time."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(asset, "_FRAME", 40)
+        patch.setattr(asset, "_CLOSE_UP", 40)
+        yield
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Facts:
+    root = tmp_path_factory.mktemp("work") / "ball.refdgs"
+    finished.log(
+        Store(root),
+        *(
+            {
+                "event": "progress",
+                "stage": "train",
+                "done": i,
+                "note": f"loss {1 / i:.3f}  PSNR {i}",
+            }
+            for i in (10, 20, 30)
+        ),
+        {"event": "finished", "stage": "train", "seconds": finished.SECONDS},
+    )
+    return facts_of(root)
+
+
+@pytest.fixture(scope="module")
+def text(whole: Facts) -> str:
+    problems: list[str] = []
+    made = page(whole, Drawing(), problems)
+    assert problems == []
+    return made
+
+
+class Reader(HTMLParser):
+    """Collects elements; fails where they are not nested as they should be."""
+
+    VOID = ("meta", "img", "input", "br")
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.found: list[tuple[str, dict[str, str | None]]] = []
+        self.feed(text)
+        assert self.open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.found.append((tag, dict(attrs)))
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.found.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+def body_of(text: str, name: str) -> str:
+    """The markup of a section."""
+    return text.partition(f'<section id="{name}">')[2].partition("</section>")[0]
+
+
+def test_a_finished_workspace_fills_every_section(text: str) -> None:
+    ids = [attributes.get("id") for tag, attributes in Reader(text).found if tag == "section"]
+    assert ids == [section.name for section in SECTIONS]
+    for section in SECTIONS:
+        assert 'class="none"' not in body_of(text, section.name), section.name
+    assert "Good: every stage is done" in text
+    assert len(re.findall(r'<figure class="photo', text)) == 6
+    assert body_of(text, "cameras").count('class="camera ') == 2 * 5
+    assert body_of(text, "training").count("<polyline") == 2
+    assert body_of(text, "views").count("<img") == 3  # one view was held out
+    assert body_of(text, "maps").count("<img") == 4
+    assert body_of(text, "atlas").count("<img") == 6
+    assert "20.00 dB" in body_of(text, "scores")
+    assert body_of(text, "files").count('<b class="ok">ok</b>') > 8
+
+
+def test_lost_and_blurred_photos_come_first_with_their_reason(text: str) -> None:
+    cards = re.findall(r'<figure class="photo([^"]*)".*?</figure>', body_of(text, "photos"))
+    assert sorted(cards[:2]) == [" blurred", " lost"]
+    assert "only 3 &lt;matches&gt;" in text
+    assert "1 lost" in text and "1 blurred" in text and "1 held out" in text
+
+
+def test_names_of_files_cannot_break_the_page(text: str) -> None:
+    assert finished.EVIL not in text
+    assert "&lt;script&gt;alert(&quot;1&quot;)&lt;/script&gt;.jpg" in text
+    assert "<b>bad.jpg" not in text and "&lt;b&gt;bad.jpg" in text
+    assert "<i>" not in body_of(text, "settings")
+    scripts = [attributes for tag, attributes in Reader(text).found if tag == "script"]
+    assert [script.get("id") for script in scripts] == ["glb", "light", "viewer", None]
+
+
+def test_the_page_needs_nothing_but_itself(text: str) -> None:
+    found = Reader(text).found
+    addresses = [
+        value
+        for tag, attributes in found
+        for name, value in attributes.items()
+        if name in ("src", "href", "srcset", "data", "action", "poster")
+    ]
+    assert addresses
+    assert all(str(a).startswith(("data:image/", "#")) for a in addresses)
+    css = "".join(re.findall(r"<style>(.*?)</style>", text, re.DOTALL))
+    assert "url(" not in css and "@import" not in css
+    policy = next(a["content"] for t, a in found if a.get("http-equiv"))
+    assert policy is not None
+    assert "default-src 'none'" in policy and "http" not in policy and "*" not in policy
+    assert not {tag for tag, _ in found} & {"link", "iframe", "object", "embed", "base"}
+
+
+def test_the_same_workspace_gives_the_same_page(text: str, whole: Facts) -> None:
+    assert page(whole, Drawing(), []) == text
+
+
+def test_folders_of_this_machine_are_left_out(tmp_path: Path) -> None:
+    warning = f"look at {tmp_path}/ball.refdgs/sfm"
+    found = facts_of(tmp_path / "ball.refdgs", until="sfm", warning=warning)
+    made = page(found, Drawing(), [])
+    assert str(tmp_path) not in made and "look at ball.refdgs/sfm" in made
+
+
+@pytest.mark.parametrize("until", ["ingest", "sfm", "train", "clean", "bake", "export"])
+def test_what_has_not_run_is_said_and_the_rest_is_shown(until: str, tmp_path: Path) -> None:
+    problems: list[str] = []
+    made = page(facts_of(tmp_path / "ball.refdgs", until=until), Drawing(), problems)
+    Reader(made)
+    assert problems == []
+    assert 'class="verdict unfinished"' in made
+    assert "to be made by evaluate" in body_of(made, "scores")
+    assert body_of(made, "photos").count("<img") == 6
+
+
+def test_an_empty_workspace_has_a_page_too(tmp_path: Path) -> None:
+    found = [
+        type(step)(step.stage, "missing", "never run")
+        for step in finished.steps(Store(tmp_path / "other"), until="ingest")
+    ]
+    facts = collect(Store(tmp_path / "empty"), found, about=ABOUT)
+    made = page(facts, Drawing(), [])
+    assert "Nothing yet" in made and judge(facts).word == "unfinished"
+
+
+def test_a_damaged_result_costs_only_its_own_sections(tmp_path: Path) -> None:
+    found = facts_of(tmp_path / "ball.refdgs")
+    (found.result(finished.SurfelField).folder / "field.safetensors").write_bytes(b"no")  # type: ignore
+    (found.result(finished.Asset).folder / "asset.glb").write_bytes(b"glTF")  # type: ignore
+    problems: list[str] = []
+    made = page(found, Drawing(), problems)
+    Reader(made)
+    assert {problem.partition(":")[0] for problem in problems} == {
+        "Photo, render, error",
+        "Surface and reflections",
+    }
+    assert "changed since it was written" in body_of(made, "files")
+    assert body_of(made, "mesh").count("<img") > 10
+
+
+def test_the_verdict_is_that_of_the_stages(tmp_path: Path) -> None:
+    assert judge(facts_of(tmp_path / "a", warning="three photos lost")).word == "degraded"
+    store = Store(tmp_path / "b")
+    finished.log(
+        store,
+        {"event": "started", "stage": "train"},
+        {"event": "failed", "kind": "TrainingError", "message": "training diverged"},
+    )
+    failed = judge(facts_of(store.root, until="sfm"))
+    assert (failed.word, failed.reasons) == ("failed", (("train", "training diverged"),))
+    finished.log(store, {"event": "failed", "kind": "Cancelled", "message": "stopped"}, name="2")
+    assert judge(facts_of(store.root, until="sfm")).word == "unfinished"
+
+
+def test_a_resumed_training_gives_one_curve(tmp_path: Path) -> None:
+    def told(step: int) -> dict[str, Any]:
+        return {
+            "event": "progress",
+            "stage": "train",
+            "done": step,
+            "note": f"loss 0.1 PSNR {step}",
+        }
+
+    done = {"event": "finished", "stage": "train", "seconds": finished.SECONDS}
+    store = Store(tmp_path / "ball.refdgs")
+    finished.log(store, told(10), told(999), done | {"seconds": 1.0}, name="1")  # an older training
+    finished.log(store, *map(told, (10, 100, 200, 300)), name="2")  # killed after a checkpoint
+    finished.log(store, *map(told, (210, 310)), done, name="3")
+    curve = facts_of(store.root, until="train").notes.curve
+    assert [step for step, _, _ in curve] == [10, 100, 200, 210, 310]
+
+
+def test_a_page_with_nothing_new_to_say_is_left_alone(whole: Facts, tmp_path: Path) -> None:
+    path = tmp_path / "report.html"
+    assert write_report(path, whole) == []
+    path.write_text(path.read_text() + "<!-- mine -->")
+    write_report(path, whole)
+    assert path.read_text().endswith("<!-- mine -->")
+    path.write_text("something else")
+    write_report(path, whole)
+    assert path.read_text().startswith("<!DOCTYPE html>")
+
+
+def test_a_large_asset_is_shown_with_smaller_textures(
+    whole: Facts, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("refdgs_pipe.reporting.asset._MOST_BYTES", 70_000)
+    problems: list[str] = []
+    made = page(whole, Drawing(), problems)
+    assert problems == [] and "its textures are reduced" in made
+
+
+def test_markup_is_escaped_unless_it_is_markup() -> None:
+    assert html.tag("p", "<&", html.tag("b", '"')) == "<p>&lt;&amp;<b>&quot;</b></p>"
+    assert html.tag("a", href='"><x') == '<a href="&quot;&gt;&lt;x"></a>'
+    assert html.tag("img", alt=None, hidden=True) == "<img hidden />"
+    assert facts_module.readable(ValueError("a\nb")) == "ValueError: a"
+
+
+@pytest.mark.browser
+@pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
+def test_a_browser_shows_the_page_and_the_asset(text: str, tmp_path: Path) -> None:
+    click = "<script>document.getElementById('start-3d').click()</script></body>"
+    (tmp_path / "report.html").write_text(text.replace("</body>", click))
+    run = subprocess.run(
+        [
+            str(CHROMIUM),
+            *("--headless=new", "--no-sandbox", "--enable-logging=stderr", "--v=0"),
+            *("--use-angle=swiftshader", "--enable-unsafe-swiftshader"),
+            *("--virtual-time-budget=20000", "--dump-dom", f"--user-data-dir={tmp_path / 'home'}"),
+            (tmp_path / "report.html").as_uri(),
+        ],
+        capture_output=True,
+        text=True,
+        timeout=240,
+        check=True,
+    )
+    assert 'data-state="loaded"' in run.stdout
+    said = [line for line in run.stderr.splitlines() if "CONSOLE" in line]
+    assert [line for line in said if "rAF timed out" not in line] == []
