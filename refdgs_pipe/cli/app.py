@@ -113,11 +113,10 @@ def rerun_command(
     verbose: Verbose = False,
 ) -> None:
     """Make one stage again; later ones follow only if its output changed."""
-    limit = bytes_of(vram)
     space = spaces.open_workspace(workspace)
     again = frozenset({space.stage_name(stage)})
     verbosity = 0 if quiet else 2 if verbose else 1
-    options = Options(None, again, device, threads, as_json, strict, verbosity, limit)
+    options = Options(None, again, device, threads, as_json, strict, verbosity, bytes_of(vram))
     raise typer.Exit(make(space, options))
 
 
