@@ -13,6 +13,7 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,8 @@ from refdgs_pipe import ops  # noqa: E402
 from refdgs_pipe.ops import Surfels, cuda_rasterize, rasterize  # noqa: E402
 
 WARM, REPEATS = 5, 20
+PAIRS = 50.0  # pixels of a tile that an entry is blended into, about
+LARGER = 2.0  # than the parity's: some 20 surfels on a pixel of the object
 KERNEL = re.compile(r"enter<refdgs::cuda::(\w+)<float(?:, (\d+), (\d+))?")
 
 
@@ -75,6 +78,7 @@ def detached(made: Surfels, device: str) -> Surfels:
 def drawing(clock: Clock, n: int, side: int, channels: int, extra: str) -> list[dict[str, Any]]:
     """Forward and backward of one set of surfels."""
     made, features = surfels(n, channels - (3 if extra != "none" else 0), seed=4)
+    made = replace(made, scales=LARGER * made.scales)
     s, view = detached(made, clock.device), camera(side, side)
     f = features.to(clock.device).requires_grad_()
     counted: list[int] = []
@@ -85,8 +89,8 @@ def drawing(clock: Clock, n: int, side: int, channels: int, extra: str) -> list[
     finally:
         cuda_rasterize._entries = read
     entries, pixels = (counted or [0])[0], side * side
-    # bytes and operations as the kernels' head comments have them; pairs: 30 a pixel
-    planes, pairs = channels + (3 if extra == "depth" else 1), 30.0 * pixels
+    # bytes and operations as the kernels' head comments have them
+    planes, pairs = channels + (3 if extra == "depth" else 1), PAIRS * entries
     name = f"rasterise {n} surfels, {channels} channels, {side}x{side}, {entries} entries"
     forward = n * (60 + 8 * channels + 4 * 32 + 160) + entries * 90 + pixels * 4 * planes
     work = pairs * (60 + 2 * channels)
