@@ -159,6 +159,7 @@ template <class S, int C, int X> struct Replayed {
 
 template <class S, int C, int X> struct DrawTilesBwd {
   static constexpr int kThreads = kTilePixels, kWidth = kGradHead + C;
+  static constexpr int kResident = C <= 8 ? 3 : 2;  // more would spill
   struct Shared {
     S part[kPatches][kWarp][kWidth];
     uint32_t touched[kPatches];

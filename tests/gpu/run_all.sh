@@ -4,7 +4,7 @@
 #   tests/gpu/run_all.sh [-w WHEELS] [-s SCENE] [-o OUT] [-d cuda|emulated]
 #
 # WHEELS: a folder of wheels of small packages that are missing here (pydantic, pydantic-core, annotated-types,
-# typing-inspection; scipy, pillow, safetensors, filelock where they are missing too). SCENE: a NeRF-synthetic folder;
+# typing-inspection; scipy, pillow, safetensors where they are missing too). SCENE: a NeRF-synthetic folder;
 # without one a procedural ball is trained. OUT: gets report.md, report.json and the logs [build/gpu-report].
 # -d emulated: a dry run of the steps that need no GPU, on the CPU and tiny.
 # Needs Python 3.11+ with torch, numpy, nanobind, pytest; cmake, ninja, nvcc 12.4+. At most 9 minutes.
