@@ -18,13 +18,14 @@ using Numbers = const std::vector<double>&;
 using Images = const std::vector<std::pair<Address, std::vector<int64_t>>>&;
 
 template <class S, class Queue> void bind_image_loss(nb::module_& m, const std::string& type) {
-  // images: image, target; constants: weight (or 0), each; outputs: slopes, gradient, map (each or 0), parts, sums.
+  // images: image, target; constants: weight (or 0), each; outputs: slopes, gradient, map (each or 0), parts,
+  // sums, loss (or 0).
   m.def(("image_loss_" + type).c_str(), [](Address stream, Size shape, Images images, Addresses constants,
                                            Numbers shares, Addresses outputs) {
     nb::gil_scoped_release release;
     LossCall<S> call{int(shape[1]), int(shape[0]), int(shape[2]), image<S>(images[0]), image<S>(images[1]),
                      at<S>(constants[0]), at<S>(constants[1]), S(shares[0]), S(shares[1]), {}, at<S>(outputs[0]),
-                     at<S>(outputs[1]), at<S>(outputs[2]), at<S>(outputs[3]), at<S>(outputs[4])};
+                     at<S>(outputs[1]), at<S>(outputs[2]), at<S>(outputs[3]), at<S>(outputs[4]), at<S>(outputs[5])};
     image_loss(Queue{at<void>(stream)}, call);
   });
 }

@@ -20,6 +20,7 @@ template <class S> struct LossCall {
   S* map;           // [C][H][W] SSIM, may be null
   S* parts;         // [blocks][2] scratch
   S* sums;          // [2] weighted |x - y| and weighted SSIM
+  S* loss;          // [1] their shares times `each`, and ssim_share's part of what no pixel changes; may be null
 
   REFDGS_HD int across() const { return (width + kLossTile - 1) / kLossTile; }
   REFDGS_HD int down() const { return (height + kLossTile - 1) / kLossTile; }

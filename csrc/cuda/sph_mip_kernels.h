@@ -177,7 +177,7 @@ template <class S> struct LookUpBwd {
         by_v += g[c] * share * height * texels.by_y(c);
         by_level += k ? g[c] * texels.value(c) : -(g[c] * texels.value(c));
       }
-      if (work.bits) scatter(t, pair.level[k], pair.cell[k], share, g, unit);
+      if (work.bits && share != 0) scatter(t, pair.level[k], pair.cell[k], share, g, unit);
     }
     const Vec3<S> d = mip_direction_vjp(direction_of(q, i), by_u, by_v, S(kPoleSine));
     grads.directions[3 * i] = d.x, grads.directions[3 * i + 1] = d.y, grads.directions[3 * i + 2] = d.z;

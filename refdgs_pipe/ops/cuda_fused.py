@@ -23,8 +23,11 @@ def compare(
     *,
     gradient: Tensor | None = None,
     ssim: Tensor | None = None,
+    loss: Tensor | None = None,
 ) -> Tensor:
-    """(2,) weighted sums of |image - target| and of SSIM; fills `gradient` and `ssim`, (C, H, W).
+    """(2,) weighted sums of |image - target| and of SSIM.
+
+    Fills `gradient` and `ssim`, (C, H, W), and `loss`, (1,), where they are given.
 
     Args:
         each: (1,) what one unit of weight counts for in the loss.
@@ -42,7 +45,7 @@ def compare(
         [cuda.image(image), cuda.image(target)],
         [0 if weight is None else weight.data_ptr(), each.data_ptr()],
         list(shares),
-        [*outputs, parts.data_ptr(), sums.data_ptr()],
+        [*outputs, parts.data_ptr(), sums.data_ptr(), 0 if loss is None else loss.data_ptr()],
     )
     return sums
 
@@ -57,16 +60,15 @@ class ImageLoss(torch.autograd.Function):
         weight = None if weight is None else weight.contiguous()
         height, width, channels = image.shape
         if weight is None:
-            total = image.new_full((1,), float(height * width * channels))
+            each = image.new_full((1,), 1.0 / image.numel() if image.numel() else 0.0)
         else:
             total = weight.sum().reshape(1) * channels
-        each = torch.where(total > 0, 1 / total, 0.0)
+            each = torch.where(total > 0, 1 / total, 0.0)
         needed = ctx.needs_input_grad[0]
         ctx.gradient = image.new_empty(channels, height, width) if needed else None
-        shares = (1 - share, -share)
-        sums = compare(image, target, weight, each, shares, gradient=ctx.gradient)
-        constant = share * (total[0] > 0).to(image.dtype)
-        return constant + each[0] * (shares[0] * sums[0] + shares[1] * sums[1])
+        shares, loss = (1 - share, -share), image.new_empty(1)
+        compare(image, target, weight, each, shares, gradient=ctx.gradient, loss=loss)
+        return loss[0]
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
