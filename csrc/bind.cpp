@@ -5,8 +5,8 @@
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
+#include "arguments.h"
 #include "ops/dispatch.h"
-#include "ops/rasterize.h"
 #if defined(REFDGS_WITH_CUDA)
 #include "cuda/device.h"
 #endif
@@ -17,27 +17,12 @@
 
 namespace nb = nanobind;
 void bind_fused(nb::module_& m);
+#if defined(REFDGS_WITH_CUDA)
+void bind_cuda(nb::module_& m);
+#endif
 using namespace refdgs;
 
 namespace {
-
-using Address = uintptr_t;
-template <class S> S* at(Address a) { return reinterpret_cast<S*>(a); }
-
-template <class S> Pinhole<S> pinhole(const std::vector<double>& p, int width, int height) {
-  Pinhole<S> cam;
-  for (int row = 0; row < 3; ++row)
-    for (int col = 0; col < 3; ++col) cam.R.m[3 * row + col] = S(p[4 * row + col]);
-  cam.t = {S(p[3]), S(p[7]), S(p[11])};
-  cam.fx = S(p[12]), cam.fy = S(p[13]), cam.cx = S(p[14]), cam.cy = S(p[15]);
-  cam.near = S(p[16]);
-  cam.width = width, cam.height = height;
-  return cam;
-}
-
-template <class S> Surfels<S> surfels(const std::vector<Address>& a, int64_t count, int channels) {
-  return {count, at<S>(a[0]), at<S>(a[1]), at<S>(a[2]), at<S>(a[3]), at<S>(a[4]), channels};
-}
 
 template <class S> void bind_raster(nb::module_& m, const char* name) {
   nb::class_<Raster<S>>(m, name)
@@ -90,6 +75,7 @@ NB_MODULE(_refdgs_native, m) {
 #if defined(REFDGS_WITH_CUDA)
   m.attr("cuda_archs") = REFDGS_ARCHS;
   m.def("cuda_device", &cuda::device_name);
+  bind_cuda(m);
 #else
   m.attr("cuda_archs") = "";
   m.def("cuda_device", [] { return std::string(); });

@@ -4,22 +4,13 @@
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
-#include "ops/image_loss.h"
+#include "arguments.h"
 #include "ops/mlp.h"
-#include "ops/shade.h"
-#include "ops/sph_mip.h"
 
 namespace nb = nanobind;
 using namespace refdgs;
 
 namespace {
-
-using Address = uintptr_t;
-template <class S> S* at(Address a) { return reinterpret_cast<S*>(a); }
-
-template <class S> Image<S> image(Address data, const std::vector<int64_t>& strides) {
-  return {at<S>(data), strides[0], strides[1], strides[2]};
-}
 
 template <class S> void bind_image_loss(nb::module_& m, const char* name) {
   m.def(name, [](const std::vector<int64_t>& shape, Address x, const std::vector<int64_t>& x_strides, Address y,
@@ -113,10 +104,6 @@ template <class S> View<S> view_of(const std::vector<int64_t>& size, const std::
 }
 
 using Images = const std::vector<std::pair<Address, std::vector<int64_t>>>&;
-template <class S> Image<S> image(const std::pair<Address, std::vector<int64_t>>& of) {
-  return image<S>(of.first, of.second);
-}
-
 using Tables = const std::vector<std::pair<Address, std::vector<int64_t>>>&;  // addresses and two strides
 template <class S> Rows<S> rows(const std::pair<Address, std::vector<int64_t>>& of) {
   return {at<S>(of.first), of.second[0], of.second[1]};

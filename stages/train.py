@@ -15,12 +15,17 @@ def train(views: Views, model: SparseModel, params: TrainParams, job: Job) -> Su
     """Optimise geometry, local reflection and background surfels and the shader."""
     import torch
 
+    from refdgs_pipe.training.budget import planned, train_within
     from refdgs_pipe.training.trainer import Trainer
 
     torch.set_num_threads(job.threads)
-    trainer = Trainer(views, model, params, job.scratch)
-    field = trainer.run(
-        lambda done, total, note, work: job.progress("training", done, total, note, work)
+    if job.device == "cuda":
+        params = planned(params, model, vram=job.vram, warn=job.warn)
+    trainer, field = train_within(
+        lambda p: Trainer(views, model, p, job.scratch, device=job.device),
+        params,
+        lambda done, total, note, work: job.progress("training", done, total, note, work),
+        job.warn,
     )
     shown = trainer.coverage(field)
     if shown < (LEAST_OVERLAP if trainer.masked else LEAST_FILL):

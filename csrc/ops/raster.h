@@ -2,20 +2,13 @@
 #pragma once
 #include <cstdint>
 
+#include "../math/record.h"
+
 namespace refdgs {
 
 constexpr int kTile = 16;             // pixels along a tile's edge
 constexpr int kTilePixels = 256;
 constexpr int kMaxChannels = 20;      // constant channels of a surfel: features and normal
-// A record: x y j00 j01 j10 j11 s0 s1 z opacity cut 0; the contour where the disc's alpha is kMinAlpha:
-// its middle (2) and a, b, c, -b/2c, -b/2a of  a x^2 + b x y + c y^2 <= 1  about it (zeros: everywhere);
-// 0; then the channels.
-constexpr int kContour = 12, kRecordHead = 20;
-constexpr int kGradHead = 12;         // x y j00 j01 j10 j11 s0 s1 z opacity |x| |y|
-
-struct Box {
-  int16_t x0, y0, x1, y1;  // pixels, inclusive
-};
 
 struct Entry {
   int32_t surfel, slot;  // slot: where its activity and gradient go

@@ -30,44 +30,7 @@ int64_t tiles_of(const Box& b) {
   return b.x1 < b.x0 ? 0 : int64_t(b.x1 / kTile - b.x0 / kTile + 1) * (b.y1 / kTile - b.y0 / kTile + 1);
 }
 
-// The ellipse of record scalars kContour.. that holds all pixels with squared radius below `cut`, a
-// little larger to be safe; zeros if it is no ellipse or has no usable inverse.
-template <class S>
-void contour(const Disc<S>& d, const Pinhole<S>& cam, const Splat<S>& s, S cut, S* out) {
-  for (int c = 0; c < 7; ++c) out[c] = 0;
-  const S delta = cut * (d.U.z * d.U.z + d.V.z * d.V.z) - s.z * s.z;
-  if (!(delta < -S(1e-6) * s.z * s.z)) return;  // the disc reaches the camera's plane
-  const Tangents<S> t = tangents(d, cam);
-  const S f = cut / delta;
-  const S mx = f * (t.a * d.U.z + t.b * d.V.z), my = f * (t.c * d.U.z + t.e * d.V.z);
-  S xx = std::max(mx * mx - f * (t.a * t.a + t.b * t.b), S(0));
-  S yy = std::max(my * my - f * (t.c * t.c + t.e * t.e), S(0));
-  const S xy = mx * my - f * (t.a * t.c + t.b * t.e), more = S(0.01) + S(1e-4) * (xx + yy);
-  xx += more, yy += more;
-  const S det = xx * yy - xy * xy;
-  if (!(det > 0) || !std::isfinite(det)) return;
-  const S k = 1 / det;
-  const S ellipse[7] = {s.x + mx, s.y + my, yy * k, -2 * xy * k, xx * k, xy / xx, xy / yy};
-  std::copy(ellipse, ellipse + 7, out);
-}
-
 }  // namespace
-
-template <class S>
-void Raster<S>::write_record(const Surfels<S>& in, int64_t i, const Disc<S>& disc, const Splat<S>& s, S cut) {
-  S* r = records_.data() + i * stride_;
-  const S head[kContour] = {s.x, s.y, s.j00, s.j01, s.j10, s.j11, s.s0, s.s1, s.z, in.opacities[i], cut, S(0)};
-  std::copy(head, head + kContour, r);
-  contour(disc, cam_, s, cut, r + kContour);
-  r[kRecordHead - 1] = 0;
-  S* channel = r + kRecordHead;
-  for (int c = 0; c < in.channels; ++c) *channel++ = in.features[i * in.channels + c];
-  if (options_.normals) {
-    const S sign = disc.flipped ? S(-1) : S(1);
-    *channel++ = sign * disc.axes.n.x, *channel++ = sign * disc.axes.n.y, *channel++ = sign * disc.axes.n.z;
-  }
-  while (channel < r + kRecordHead + channels_) *channel++ = S(0);
-}
 
 template <class S> void Raster<S>::project(const Surfels<S>& in, S* radii) {
   stride_ = (kRecordHead + channels_ + 15) / 16 * 16;
@@ -75,26 +38,14 @@ template <class S> void Raster<S>::project(const Surfels<S>& in, S* radii) {
   fit(boxes_, in.count);
   fit(depths_, in.count);
   parallel_for(in.count, options_.threads, [&](int64_t i) {
-    radii[i] = 0;
-    boxes_[i] = {0, 0, -1, -1};
-    const S opacity = in.opacities[i];
-    const auto disc = disc_in_camera(in.means + 3 * i, in.quats + 4 * i, in.scales + 2 * i, cam_);
-    if (!(disc.P.z > cam_.near) || !(opacity > S(kMinAlpha))) return;
-    const auto s = splat(disc, cam_);
-    const S cut = S(2) * std::log(opacity / S(kMinAlpha));
-    S lo[2], hi[2];
-    if (!bounds(disc, cam_, s, cut, lo, hi)) return;
-    if (!std::isfinite(s.j00 + s.j01 + s.j10 + s.j11 + s.s0 + s.s1 + lo[0] + hi[0] + lo[1] + hi[1])) return;
-    // pixels whose centres lie inside
-    const int x0 = int(std::ceil(std::max(lo[0], S(0)) - S(0.5))), y0 = int(std::ceil(std::max(lo[1], S(0)) - S(0.5)));
-    const int x1 = int(std::floor(std::min(hi[0], S(cam_.width)) - S(0.5)));
-    const int y1 = int(std::floor(std::min(hi[1], S(cam_.height)) - S(0.5)));
-    if (x0 > x1 || y0 > y1) return;
-    boxes_[i] = {int16_t(std::max(x0, 0)), int16_t(std::max(y0, 0)), int16_t(x1), int16_t(y1)};
-    radii[i] = S(0.5) * std::max(hi[0] - lo[0], hi[1] - lo[1]);
-    const float z = float(s.z);
+    const auto p = refdgs::project(in.means + 3 * i, in.quats + 4 * i, in.scales + 2 * i, in.opacities[i], cam_);
+    radii[i] = p.radius;
+    boxes_[i] = p.box;
+    if (p.box.x1 < p.box.x0) return;
+    const float z = float(p.splat.z);
     std::memcpy(&depths_[i], &z, 4);
-    write_record(in, i, disc, s, cut);
+    refdgs::write_record(p, cam_, in.opacities[i], in.features + i * in.channels, in.channels, options_.normals,
+                         channels_, records_.data() + i * stride_);
   });
 }
 
@@ -216,31 +167,12 @@ void Raster<S>::reduce(const Surfels<S>& in, const SurfelGrads<S>& out, int64_t 
     std::fill(out.scales + 2 * i, out.scales + 2 * i + 2, S(0));
     return;
   }
-  const S *mean = in.means + 3 * i, *quat = in.quats + 4 * i, *scale = in.scales + 2 * i;
-  const S* r = records_.data() + i * stride_;
-  const auto disc = disc_in_camera(mean, quat, scale, cam_);
-  const Splat<S> s{r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8]};
-  const Splat<S> gs{g[0], g[1], g[2], g[3], g[4], g[5], g[6], g[7], g[8]};
-  const auto gd = splat_vjp(disc, cam_, s, gs);
-  const auto g_mean = mul_transposed(cam_.R, gd.P);
-  const auto gU = mul_transposed(cam_.R, gd.U), gV = mul_transposed(cam_.R, gd.V);
-  out.means[3 * i] = g_mean.x, out.means[3 * i + 1] = g_mean.y, out.means[3 * i + 2] = g_mean.z;
-  out.scales[2 * i] = dot(gU, disc.axes.u), out.scales[2 * i + 1] = dot(gV, disc.axes.v);
-  Frame3<S> g_axes{disc.su * gU, disc.sv * gV, {0, 0, 0}};
-  if (options_.normals) {
-    const S sign = disc.flipped ? S(-1) : S(1);
-    const S* n = g + kGradHead + in.channels;
-    g_axes.n = {sign * n[0], sign * n[1], sign * n[2]};
-  }
-  rotation_vjp(quat, g_axes, out.quats + 4 * i);
-  const Vec3<S> tu = disc.su * disc.axes.u, tv = disc.sv * disc.axes.v;
-  const S gp[3] = {gd.P.x, gd.P.y, gd.P.z}, gu[3] = {gd.U.x, gd.U.y, gd.U.z}, gv[3] = {gd.V.x, gd.V.y, gd.V.z};
-  for (int row = 0; row < 3; ++row) {
-    v_pose[4 * row] += gp[row] * mean[0] + gu[row] * tu.x + gv[row] * tv.x;
-    v_pose[4 * row + 1] += gp[row] * mean[1] + gu[row] * tu.y + gv[row] * tv.y;
-    v_pose[4 * row + 2] += gp[row] * mean[2] + gu[row] * tu.z + gv[row] * tv.z;
-    v_pose[4 * row + 3] += gp[row];
-  }
+  const auto v = record_vjp(in.means + 3 * i, in.quats + 4 * i, in.scales + 2 * i, cam_, records_.data() + i * stride_,
+                            g, options_.normals ? g + kGradHead + in.channels : nullptr);
+  std::copy(v.mean, v.mean + 3, out.means + 3 * i);
+  std::copy(v.quat, v.quat + 4, out.quats + 4 * i);
+  std::copy(v.scale, v.scale + 2, out.scales + 2 * i);
+  for (int c = 0; c < 12; ++c) v_pose[c] += v.v_pose[c];
 }
 
 template <class S>

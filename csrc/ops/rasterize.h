@@ -51,7 +51,6 @@ template <class S> class Raster {
 
  private:
   void project(const Surfels<S>& surfels, S* radii);
-  void write_record(const Surfels<S>& surfels, int64_t i, const Disc<S>& disc, const Splat<S>& s, S cut);
   void sort();
   void bin();
   void reduce(const Surfels<S>& surfels, const SurfelGrads<S>& grads, int64_t i, double* v_pose) const;

@@ -12,6 +12,7 @@ import typer
 
 from refdgs_pipe import __version__, recipe
 from refdgs_pipe.cli import workspace as spaces
+from refdgs_pipe.cli.device import bytes_of
 from refdgs_pipe.cli.running import Options, make, settings_json, steps_json
 from refdgs_pipe.cli.workspace import Memory, Workspace
 from refdgs_pipe.errors import Cancelled, InputError, RefdgsError
@@ -36,6 +37,7 @@ Assignments = Annotated[
 Json = Annotated[bool, typer.Option("--json", help="print one JSON object on stdout")]
 Device = Annotated[str, typer.Option("--device", help="auto, cpu or cuda")]
 Threads = Annotated[int, typer.Option("--threads", min=0, help="CPU threads; 0: every core")]
+Vram = Annotated[str, typer.Option("--vram", help="GPU memory to keep within", metavar="8GB")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="only warnings and errors")]
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="every measured figure too")]
 Strict = Annotated[bool, typer.Option("--strict", help="exit with 3 if there were warnings")]
@@ -75,6 +77,7 @@ def run_command(
     ] = None,
     dry_run: DryRun = False,
     device: Device = "auto",
+    vram: Vram = "",
     threads: Threads = 0,
     as_json: Json = False,
     strict: Strict = False,
@@ -82,6 +85,7 @@ def run_command(
     verbose: Verbose = False,
 ) -> None:
     """Make the asset, and whatever of the way to it is missing."""
+    limit = bytes_of(vram)
     space = _open_for_run(photos, workspace, recipe_name, assignments or [])
     again = {space.stage_name(name) for name in force or []}
     if start is not None:
@@ -92,7 +96,7 @@ def run_command(
         _print_plan(space, until, again, as_json)
         return
     verbosity = 0 if quiet else 2 if verbose else 1
-    options = Options(until, frozenset(again), device, threads, as_json, strict, verbosity)
+    options = Options(until, frozenset(again), device, threads, as_json, strict, verbosity, limit)
     raise typer.Exit(make(space, options))
 
 
@@ -101,6 +105,7 @@ def rerun_command(
     workspace: Folder,
     stage: Annotated[str, typer.Argument(help="the stage to make again", metavar="STAGE")],
     device: Device = "auto",
+    vram: Vram = "",
     threads: Threads = 0,
     as_json: Json = False,
     strict: Strict = False,
@@ -111,7 +116,7 @@ def rerun_command(
     space = spaces.open_workspace(workspace)
     again = frozenset({space.stage_name(stage)})
     verbosity = 0 if quiet else 2 if verbose else 1
-    options = Options(None, again, device, threads, as_json, strict, verbosity)
+    options = Options(None, again, device, threads, as_json, strict, verbosity, bytes_of(vram))
     raise typer.Exit(make(space, options))
 
 

@@ -1,11 +1,14 @@
-"""Which device the work runs on."""
+"""Which device the work runs on, and with how much of its memory."""
 
 import os
+import re
 from pathlib import Path
 
 from refdgs_pipe.errors import DeviceError, InputError
 
 DEVICES = ("auto", "cpu", "cuda")
+UNITS = {"MB": 10**6, "GB": 10**9, "MIB": 2**20, "GIB": 2**30}
+REBUILD = "Reinstall where nvcc is on the PATH: pip install --force-reinstall --no-deps ."
 
 
 def choose_device(wanted: str) -> str:
@@ -27,25 +30,88 @@ def choose_device(wanted: str) -> str:
     return "cpu"
 
 
+def bytes_of(text: str) -> int:
+    """An amount of memory such as 8GB or 600MB, in bytes; 0 for an empty text.
+
+    Raises:
+        InputError: it is no such amount.
+    """
+    found = re.fullmatch(r"(\d+(?:\.\d+)?) *(MB|GB|MiB|GiB)", text.strip(), re.IGNORECASE)
+    if not text:
+        return 0
+    if not found or not float(found[1]):
+        raise InputError(f"--vram {text}: expected an amount such as 8GB")
+    return int(float(found[1]) * UNITS[found[2].upper()])
+
+
 def has_driver() -> bool:
     """Whether an NVIDIA driver runs on this machine, found out without loading anything."""
     return Path("/proc/driver/nvidia/version").exists() or Path("/dev/nvidiactl").exists()
 
 
 def cuda_problem() -> str | None:
-    """Why CUDA cannot be used, with what to do about it; None if it can."""
+    """The one mismatch that keeps CUDA from being used, then its fix; None if there is none."""
     if not has_driver():
         return "no NVIDIA driver is running. Install the driver of this machine's GPU"
     import torch
 
+    made_for = torch.version.cuda
+    if made_for is None:
+        return (
+            f"torch {torch.__version__} is a build for the CPU. Install one for CUDA: "
+            "pip install torch --index-url https://download.pytorch.org/whl/cu130"
+        )
     if not torch.cuda.is_available():
-        built = f"torch {torch.__version__}"
-        return f"{built} sees no GPU. Install a CUDA build of torch that fits the driver"
+        return (
+            f"torch for CUDA {made_for} finds no GPU that the driver {driver_version()} lets it "
+            "use. Update the driver, or install torch for an older CUDA"
+        )
     import _refdgs_native
 
     if not _refdgs_native.cuda_archs:
-        return "the native module was built without CUDA. Reinstall where nvcc is on the PATH"
+        return f"the native module was built without CUDA. {REBUILD}"
+    major, minor = torch.cuda.get_device_capability()
+    if not runs_on(_refdgs_native.cuda_archs, major, minor):
+        name = torch.cuda.get_device_name()
+        return (
+            f"the native module was built for {described(_refdgs_native.cuda_archs)}, but the "
+            f"{name} is sm_{major}{minor}. Build for it: REFDGS_CUDA_ARCHS={major}{minor} "
+            "pip install --force-reinstall --no-deps ."
+        )
     return None
+
+
+def driver_version() -> str:
+    """The running NVIDIA driver's version, or "of unknown version"."""
+    try:
+        text = Path("/proc/driver/nvidia/version").read_text("utf-8", "replace")
+    except OSError:
+        text = ""
+    found = re.search(r"\b(\d{3,}\.\d+(?:\.\d+)?)\b", text)
+    return found[1] if found else "of unknown version"
+
+
+def runs_on(archs: str, major: int, minor: int) -> bool:
+    """Whether kernels for `archs` (CMake's names with commas between) run on a GPU.
+
+    Compiled code runs on the same major version from its minor version on; PTX on anything newer.
+    """
+    for arch in archs.split(","):
+        number, _, kind = arch.partition("-")
+        made = divmod(int(re.sub(r"\D", "", number)), 10)
+        if kind != "virtual" and made[0] == major and made[1] <= minor:
+            return True
+        if kind != "real" and made <= (major, minor):
+            return True
+    return False
+
+
+def described(archs: str) -> str:
+    """`archs` in words: sm_80 sm_90 and PTX."""
+    names = archs.split(",")
+    compiled = ["sm_" + n.removesuffix("-real") for n in names if not n.endswith("-virtual")]
+    ptx = ["and PTX"] if any(not n.endswith("-real") for n in names) else []
+    return " ".join(compiled + ptx)
 
 
 def core_count() -> int:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from refdgs_pipe import __version__
 from refdgs_pipe.child import call_in_child
-from refdgs_pipe.cli.device import core_count, cuda_problem, has_driver
+from refdgs_pipe.cli.device import core_count, cuda_problem, described, has_driver
 from refdgs_pipe.errors import RefdgsError
 from refdgs_pipe.wording import size
 
@@ -62,9 +62,10 @@ def native_facts() -> dict[str, str]:
 
     native = import_module("_refdgs_native")
     archs = native.cuda_archs
-    facts = {"instructions": native.isa(), "openmp": str(native.openmp), "cuda": archs or "none"}
+    facts = {"instructions": native.isa(), "openmp": str(native.openmp), "cuda:": "not built"}
     if archs:
-        facts["GPU"] = native.cuda_device() or "none seen"
+        device = native.cuda_device() or "no device"
+        facts["cuda:"] = f"built, {device} ({described(archs)})"
     return facts
 
 

@@ -35,6 +35,7 @@ class Options:
     json: bool = False
     strict: bool = False
     verbosity: int = 1
+    vram: int = 0  # bytes, 0: no limit
 
 
 def make(workspace: Workspace, options: Options) -> int:
@@ -119,6 +120,7 @@ def _run_logged(
             force=options.force,
             device=lambda: choose_device(options.device),
             threads=options.threads or core_count(),
+            vram=options.vram,
             stop=stopper.stop,
             publish=PUBLISHED,
         )

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from refdgs_pipe.errors import ShapeError
+from refdgs_pipe.ops import cuda, cuda_fused
 from refdgs_pipe.ops.checks import check_alike
 
 
@@ -37,6 +38,11 @@ def image_loss(
     _check(image, target, weight)
     if not 0 <= ssim_share <= 1:
         raise ShapeError(f"ssim_share is {ssim_share}: give 0 to 1")
+    if cuda.on_gpu(image):
+        on_gpu: Tensor = cuda_fused.ImageLoss.apply(  # type: ignore[no-untyped-call]
+            image, target, weight, ssim_share
+        )
+        return on_gpu
     count = threads or torch.get_num_threads()
     loss: Tensor = _ImageLoss.apply(  # type: ignore[no-untyped-call]
         image, target, weight, ssim_share, count
@@ -83,6 +89,10 @@ def _run(
     ssim: Tensor | None = None,
 ) -> tuple[float, float]:
     """Weighted sums of |image - target| and of SSIM; fills `gradient` and `ssim`, (C, H, W)."""
+    if cuda.on_gpu(image):
+        each = image.new_ones(1)
+        l1, similarity = cuda_fused.compare(image, target, weight, each, scales, ssim=ssim).tolist()
+        return l1, similarity
     run = native.image_loss_float if image.dtype == torch.float32 else native.image_loss_double
     sums: tuple[float, float] = run(
         list(image.shape),

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from refdgs_pipe.errors import ShapeError
+from refdgs_pipe.ops import cuda, cuda_fused
 from refdgs_pipe.ops.checks import check_alike
 
 HIDDEN = 64
@@ -37,7 +38,7 @@ def mlp(
         biases: (64,)..., (outputs,).
         half: multiply bfloat16 numbers and sum them as floats, where the CPU can (AVX512-BF16):
             twice as fast, good to about 3 digits. The first and the last layer's outputs are
-            multiplied as they are. No difference for doubles.
+            multiplied as they are. No difference for doubles, and none on a GPU.
         threads: default torch's; the result does not depend on it.
 
     Returns:
@@ -47,6 +48,11 @@ def mlp(
         ShapeError: sizes or types that must agree do not, or exceed these limits.
     """
     _check(x, weights, biases)
+    if cuda.on_gpu(x):
+        on_gpu: Tensor = cuda_fused.Mlp.apply(  # type: ignore[no-untyped-call]
+            x, exp_cap, *weights, *biases
+        )
+        return on_gpu
     count = threads or torch.get_num_threads()
     result: Tensor = _Mlp.apply(  # type: ignore[no-untyped-call]
         x, exp_cap, half, count, *weights, *biases

@@ -9,7 +9,8 @@ import torch
 from torch import Tensor
 
 from refdgs_pipe.camera import Camera
-from refdgs_pipe.errors import DeviceError, ShapeError
+from refdgs_pipe.errors import ShapeError
+from refdgs_pipe.ops import cuda
 
 Extra = Literal["none", "depth", "distortion"]
 MAX_CHANNELS = 20
@@ -126,18 +127,17 @@ def rasterize(
     Args:
         features: (N, C) what to blend; C <= 20, or 17 with normals.
         extra: which of the depth maps to make.
-        threads: default torch's.
+        threads: default torch's; of the CPU.
 
     Raises:
         ShapeError: sizes or types that must agree do not.
         DeviceError: the tensors are on a device that this build has no kernels for.
     """
     _check(surfels, features, camera, normals)
-    if not surfels.means.device.type == "cpu":
-        raise DeviceError(
-            f"tensors are on {surfels.means.device}, but this build draws on the CPU only: "
-            "use --device cpu"
-        )
+    if cuda.on_gpu(surfels.means):
+        from refdgs_pipe.ops import cuda_rasterize
+
+        return cuda_rasterize.draw(surfels, features, camera, extra, normals)
     from refdgs_pipe.ops.native import draw
 
     return draw(surfels, features, camera, extra, normals, threads or torch.get_num_threads())
@@ -164,6 +164,7 @@ def _check(surfels: Surfels, features: Tensor, camera: Pinhole, normals: bool) -
             )
     if surfels.means.dtype not in (torch.float32, torch.float64):
         raise ShapeError(f"means is {surfels.means.dtype}: give float32 (or float64 for proofs)")
+    cuda.check_gpu("means", surfels.means)
     channels = features.shape[1] + (3 if normals else 0)
     if not 0 < channels <= MAX_CHANNELS:
         raise ShapeError(f"{channels} channels with normals; at most {MAX_CHANNELS} are possible")

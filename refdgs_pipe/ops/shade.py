@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from refdgs_pipe.errors import ShapeError
+from refdgs_pipe.ops import cuda, cuda_shade
 from refdgs_pipe.ops.checks import check_alike
 from refdgs_pipe.ops.rasterize import Pinhole
 
@@ -45,6 +46,12 @@ def shading_inputs(
     _check_images(size, features=features, alpha=alpha, normal=normal, near=near)
     if features.shape[2] < 4 or (near is not None and near.shape[2] != 4):
         raise ShapeError("features need at least 4 channels, and near exactly 4")
+    if cuda.on_gpu(alpha):
+        on_gpu: list[Tensor] = cuda_shade.ShadingInputs.apply(  # type: ignore[no-untyped-call]
+            features, alpha, normal, near, pixels.contiguous(), camera
+        )
+        diffuse, roughness, reflected, cosine, gathered = on_gpu
+        return diffuse, roughness, reflected, cosine, None if near is None else gathered
     count = threads or torch.get_num_threads()
     *parts, gathered = _ShadingInputs.apply(  # type: ignore[no-untyped-call]
         features, alpha, normal, near, pixels.contiguous(), camera, count
@@ -88,6 +95,11 @@ def composite(
             f"diffuse is {tuple(diffuse.shape)} and radiance {tuple(radiance.shape)}: "
             f"give {expected}, one row for each pixel"
         )
+    if cuda.on_gpu(alpha):
+        on_gpu: Tensor = cuda_shade.Composite.apply(  # type: ignore[no-untyped-call]
+            diffuse, radiance, pixels.contiguous(), object_alpha, alpha, backdrop, behind
+        )
+        return on_gpu
     count = threads or torch.get_num_threads()
     image: Tensor = _Composite.apply(  # type: ignore[no-untyped-call]
         diffuse, radiance, pixels.contiguous(), object_alpha, alpha, backdrop, behind, count
@@ -125,6 +137,11 @@ def normal_agreement(
     _check_images(size, normal=normal, depth=depth, alpha=alpha)
     if min(size) < 3:
         raise ShapeError(f"image of {camera.width}x{camera.height}: no pixel has four neighbours")
+    if cuda.on_gpu(alpha):
+        on_gpu: Tensor = cuda_shade.NormalAgreement.apply(  # type: ignore[no-untyped-call]
+            normal, depth, alpha, camera, edge
+        )
+        return on_gpu
     count = threads or torch.get_num_threads()
     loss: Tensor = _NormalAgreement.apply(  # type: ignore[no-untyped-call]
         normal, depth, alpha, camera, edge, count

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from refdgs_pipe.errors import ShapeError
+from refdgs_pipe.ops import cuda, cuda_fused
 from refdgs_pipe.ops.checks import check_alike
 
 CHANNELS = 4
@@ -48,6 +49,11 @@ def sph_mip(
         ShapeError: sizes or types disagree, H or W is no power of two, or there is no such level.
     """
     _check(base, directions, roughness, min_level)
+    if cuda.on_gpu(base):
+        on_gpu: Tensor = cuda_fused.SphMip.apply(  # type: ignore[no-untyped-call]
+            base, directions, roughness, mip_levels(*base.shape[:2]), min_level
+        )
+        return on_gpu
     count = threads or torch.get_num_threads()
     features: Tensor = _SphMip.apply(  # type: ignore[no-untyped-call]
         base, directions, roughness, min_level, count

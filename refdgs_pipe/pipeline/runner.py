@@ -38,6 +38,7 @@ class Request:
     force: frozenset[str] = frozenset()
     device: Callable[[], str] = lambda: "cpu"
     threads: int = 1
+    vram: int = 0
     stop: Flag = field(default_factory=Flag)
     publish: Mapping[str, str] = field(default_factory=dict)
 
@@ -147,6 +148,7 @@ class _Run:
                 self.request.threads,
                 listener,
                 self.request.stop,
+                self.request.vram,
             )
             try:
                 artifact: Artifact = stage.run(**inputs, params=self.settings[stage.name], job=job)

@@ -41,6 +41,7 @@ class Job:
     threads: int
     emit: Emit
     stop: Flag = field(default_factory=Flag)
+    vram: int = 0  # bytes of GPU memory to keep within, 0: all that is free
 
     def track(self, items: Iterable[T], label: str) -> Iterator[T]:
         """Yield the items, reporting progress. Every step is a safe point to cancel.

@@ -12,7 +12,12 @@ F32 = NDArray[np.float32]
 
 
 def coverage(
-    field: SurfelField, cameras: list[Camera], masks: list[F32] | None, ball: Ball
+    field: SurfelField,
+    cameras: list[Camera],
+    masks: list[F32] | None,
+    ball: Ball,
+    *,
+    device: str = "cpu",
 ) -> float:
     """How much of the object a field shows, 0 to 1: the mean over views of intersection over union.
 
@@ -22,7 +27,7 @@ def coverage(
     """
     shares = []
     for index, camera in enumerate(cameras):
-        alpha = render_surface_map(field, camera).alpha
+        alpha = render_surface_map(field, camera, device=device).alpha
         if masks is not None:
             both, either = np.minimum(alpha, masks[index]), np.maximum(alpha, masks[index])
             shares.append(float(both.sum() / max(float(either.sum()), 1.0)))

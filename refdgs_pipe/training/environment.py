@@ -26,7 +26,7 @@ def mirrored_light(field: SurfelField, directions: F32) -> F32 | None:
     Returns:
         (..., 3) radiance, at least 0.
     """
-    shader = _shader(field)
+    shader = _shader(field, "cpu")
     if shader is None:
         return None
     flat = torch.from_numpy(np.ascontiguousarray(directions.reshape(-1, 3), np.float32))

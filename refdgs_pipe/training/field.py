@@ -17,6 +17,7 @@ from refdgs_pipe.training.shading import Picture, Scene, sh_color
 from refdgs_pipe.training.surfels import (
     DensityRules,
     TrainableSet,
+    array,
     densify,
     diffuse_of,
     step_all,
@@ -31,7 +32,12 @@ LARGEST = 0.1  # surfels larger than this share of the extent go
 
 
 class TrainableField:
-    """Geometry, local reflection and background surfels, and the shader."""
+    """Geometry, local reflection and background surfels, and the shader.
+
+    Args:
+        photos: on the CPU; they are looked at only here.
+        device: where the surfels and the shader are.
+    """
 
     def __init__(
         self,
@@ -41,8 +47,9 @@ class TrainableField:
         *,
         masked: bool,
         near: float,
+        device: str = "cpu",
     ) -> None:
-        self.params, self.ball, self.near = params, model.ball, near
+        self.params, self.ball, self.near, self.device = params, model.ball, near, device
         # Without masks nothing but reflections holds a mirror's surface in place from the start.
         self.reflect_from = params.reflect_from if masked else 0.0
         cameras = [photo.camera for photo in photos]
@@ -52,7 +59,7 @@ class TrainableField:
             self.extent = float(np.linalg.norm(centers[0] - model.ball.center))
         rng = np.random.default_rng(params.seed)
         self.rates = self._rates()
-        self.geometry = TrainableSet(self._geometry(model, photos, masked, rng), self.rates)
+        self.geometry = self._set(self._geometry(model, photos, masked, rng))
         self.local: TrainableSet | None = None
         self.shader: Shader | None = None
         self.shader_optimizer: list[torch.optim.Optimizer] = []
@@ -63,7 +70,7 @@ class TrainableField:
                 params.mixing,
                 params.physical,
                 half=params.bfloat16,
-            )
+            ).to(device)
             groups = [
                 {"params": [self.shader.environment], "lr": params.rate_environment},
                 {"params": [*self.shader.weights, *self.shader.biases], "lr": params.rate_shader},
@@ -73,8 +80,11 @@ class TrainableField:
                 cloud = initial.ball_cloud(model.ball, params.local_surfels, rng)
                 raw = initial.raw_discs(cloud, LOCAL_OPACITY)
                 raw["features"] = torch.zeros(params.local_surfels, 4)
-                self.local = TrainableSet(raw, self.rates)
+                self.local = self._set(raw)
         self.background = None if masked else self._background(model, photos, rng)
+
+    def _set(self, raw: dict[str, Tensor]) -> TrainableSet:
+        return TrainableSet({k: v.to(self.device) for k, v in raw.items()}, self.rates)
 
     def _rates(self) -> dict[str, float]:
         p = self.params
@@ -131,10 +141,10 @@ class TrainableField:
         sh = torch.zeros(len(cloud.points), 12)
         sh[:, :3] = (torch.tensor(cloud.colors, dtype=torch.float32) - 0.5) / 0.28209479177387814
         raw["sh"] = sh
-        return TrainableSet(raw, self.rates)
+        return self._set(raw)
 
     def _inside(self, points: Tensor, margin: float = BALL_MARGIN) -> Tensor:
-        center = torch.tensor(self.ball.center, dtype=points.dtype)
+        center = torch.tensor(self.ball.center, dtype=points.dtype, device=points.device)
         near: Tensor = (points - center).norm(dim=-1) <= margin * self.ball.radius
         return near
 
@@ -150,8 +160,8 @@ class TrainableField:
         if self.shader_optimizer:
             rates = (p.rate_environment, p.rate_shader)
             groups = self.shader_optimizer[0].param_groups
-            for group, rate in zip(groups, rates, strict=True):
-                group["lr"] = rate * share
+            for parameters, rate in zip(groups, rates, strict=True):
+                parameters["lr"] = rate * share
 
     def scene(self, camera: Pinhole, fraction: float) -> Scene:
         """What is drawn now: activated, and the background's colour towards this camera."""
@@ -161,7 +171,7 @@ class TrainableField:
         if self.background is not None:
             pose = camera.cam_from_world
             center = -pose[:3, :3].T @ pose[:3, 3]
-            towards = self.background.raw["means"].detach() - center
+            towards = self.background.raw["means"].detach() - center.to(self.device)
             towards = towards / towards.norm(dim=-1, keepdim=True)
             background_rgb = sh_color(self.background.raw["sh"], towards)
         return Scene(
@@ -249,7 +259,9 @@ class TrainableField:
                 v.copy_(state[f"shader/{k}"])
                 prefix = f"shader-adam/{k}/"
                 moments = {
-                    n[len(prefix) :]: t.clone() for n, t in state.items() if n.startswith(prefix)
+                    n[len(prefix) :]: t.to(v.device, copy=True)
+                    for n, t in state.items()
+                    if n.startswith(prefix)
                 }
                 if moments:
                     self.shader_optimizer[0].state[v] = moments
@@ -265,11 +277,9 @@ class TrainableField:
             local=p.local if s is not None else "none",
             mixing=p.mixing,
             physical=p.physical,
-            environment=empty((0, 0, 4), np.float32)
-            if s is None
-            else s.environment.detach().numpy().copy(),
-            weights=() if s is None else tuple(w.detach().numpy().copy() for w in s.weights),
-            biases=() if s is None else tuple(b.detach().numpy().copy() for b in s.biases),
+            environment=empty((0, 0, 4), np.float32) if s is None else array(s.environment),
+            weights=() if s is None else tuple(array(w) for w in s.weights),
+            biases=() if s is None else tuple(array(b) for b in s.biases),
         )
         local = nothing if self.local is None else self.local.freeze()
         background = nothing if self.background is None else self.background.freeze()

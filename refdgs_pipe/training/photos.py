@@ -1,14 +1,12 @@
 """Training photos in memory, at every scale of the run."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from refdgs_pipe.artifacts.photos import load_photo
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import Camera
@@ -32,11 +30,19 @@ class TrainingPhoto:
     mask: Tensor | None
     valid: Tensor | None
 
+    def to(self, device: str) -> "TrainingPhoto":
+        """The photo with its pixels on a device; the camera stays."""
+        mask = None if self.mask is None else self.mask.to(device)
+        valid = None if self.valid is None else self.valid.to(device)
+        return replace(self, rgb=self.rgb.to(device), mask=mask, valid=valid)
+
 
 def load_training_photos(
     views: Views, model: SparseModel, *, max_side: int, near: float
 ) -> list[TrainingPhoto]:
     """All photos of the train split, no larger than `max_side` pixels."""
+    from refdgs_pipe.artifacts.photos import load_photo
+
     cameras = [camera for camera in model.cameras if camera.split == "train"]
     photos = []
     for camera in cameras:
@@ -57,6 +63,10 @@ def shrunk(photo: TrainingPhoto, scale: float) -> TrainingPhoto:
         return photo
     width = max(16, round(photo.camera.width * scale))
     height = max(16, round(photo.camera.height * scale))
+    if photo.rgb.is_cuda:
+        return _shrunk_there(photo, width, height)
+    import cv2
+
     rgb: NDArray[np.float32] = photo.rgb.permute(1, 2, 0).float().numpy()
     mask = None if photo.mask is None else photo.mask.numpy().astype(np.float32)
     if mask is not None:
@@ -79,6 +89,38 @@ def shrunk(photo: TrainingPhoto, scale: float) -> TrainingPhoto:
     pixels = np.ascontiguousarray(np.rint(rgb.clip(0, 255)).astype(np.uint8).transpose(2, 0, 1))
     pinhole = Pinhole.of(camera, photo.pinhole.near)
     return TrainingPhoto(camera, pinhole, torch.from_numpy(pixels), small, valid)
+
+
+def _shrunk_there(photo: TrainingPhoto, width: int, height: int) -> TrainingPhoto:
+    """`shrunk` where the photo is, by the same means over areas, in float32."""
+
+    def small(planes: Tensor) -> Tensor:
+        rows = area_weights(planes.shape[-2], height).to(planes.device)
+        columns = area_weights(planes.shape[-1], width).to(planes.device)
+        return rows @ planes @ columns.T
+
+    rgb, mask, valid = photo.rgb.float(), photo.mask, photo.valid
+    if mask is not None:
+        whole = mask.float()
+        rgb, whole = small(rgb * (whole / 255)), small(whole)
+        rgb = torch.where(whole > 0.5, rgb / (whole / 255).clamp(min=1e-6), 0.0)
+        mask = whole.round().to(torch.uint8)
+    else:
+        rgb = small(rgb)
+    if valid is not None:
+        valid = small(valid.float()) > 0.999
+    camera = photo.camera.resized(width, height)
+    pinhole = Pinhole.of(camera, photo.pinhole.near)
+    return TrainingPhoto(camera, pinhole, rgb.clamp(0, 255).round().to(torch.uint8), mask, valid)
+
+
+def area_weights(large: int, small: int) -> Tensor:
+    """(small, large) what share of each new pixel comes from each old one; rows sum to 1."""
+    edges = torch.arange(small + 1, dtype=torch.float64) * (large / small)
+    old = torch.arange(large, dtype=torch.float64)
+    begin = torch.maximum(edges[:-1, None], old)
+    end = torch.minimum(edges[1:, None], old + 1)
+    return ((end - begin).clamp(min=0) * (small / large)).float()
 
 
 def composited(photo: TrainingPhoto, backdrop: Tensor) -> Tensor:

@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 from refdgs_pipe.artifacts.surface_map import SurfaceMap
 from refdgs_pipe.artifacts.surfel_field import SurfelField, SurfelSet
 from refdgs_pipe.camera import Camera
-from refdgs_pipe.errors import DeviceError
 from refdgs_pipe.ops import Pinhole, Surfels
 from refdgs_pipe.training.reflection import Shader
 from refdgs_pipe.training.shading import Picture, Scene, draw, sh_color
@@ -24,7 +23,7 @@ def render_surface_map(
     Background surfels still hide what is behind them.
 
     Raises:
-        DeviceError: the device is not built in.
+        DeviceError: this build has no kernels for the device.
     """
     picture = _picture(field, camera, (0.0, 0.0, 0.0), device, threads)
     alpha = picture.object_alpha
@@ -60,51 +59,53 @@ def _picture(
     device: str,
     threads: int | None,
 ) -> Picture:
-    if device != "cpu":
-        raise DeviceError(f"device {device!r} cannot draw in this build: use --device cpu")
     before = torch.get_num_threads()
     torch.set_num_threads(threads or before)
     try:
         with torch.no_grad():
-            return draw(
-                _scene(field, camera), Pinhole.of(camera, field.near), torch.tensor(backdrop)
-            )
+            scene = _scene(field, camera, device)
+            color = torch.tensor(backdrop, device=device)
+            return draw(scene, Pinhole.of(camera, field.near), color)
     finally:
         torch.set_num_threads(before)
 
 
-def _scene(field: SurfelField, camera: Camera) -> Scene:
-    values = {k: torch.from_numpy(v) for k, v in field.geometry.values.items()}
+def _scene(field: SurfelField, camera: Camera, device: str) -> Scene:
+    values = {k: torch.from_numpy(v).to(device) for k, v in field.geometry.values.items()}
     local, background = field.local, field.background
+    near = {k: torch.from_numpy(v).to(device) for k, v in local.values.items()}
     rgb = None
     if len(background):
         towards = torch.from_numpy((background.means - camera.center).astype(np.float32))
         towards = towards / towards.norm(dim=-1, keepdim=True)
-        rgb = sh_color(torch.from_numpy(background.values["sh"]), towards)
+        rgb = sh_color(torch.from_numpy(background.values["sh"]), towards).to(device)
     return Scene(
-        geometry=_surfels(field.geometry),
+        geometry=_surfels(field.geometry, device),
         diffuse=values["diffuse"],
         roughness=values["roughness"][:, 0],
         shared_features=values.get("features"),
-        local=_surfels(local) if len(local) else None,
-        local_features=torch.from_numpy(local.values["features"]) if len(local) else None,
-        background=_surfels(background) if len(background) else None,
+        local=_surfels(local, device) if len(local) else None,
+        local_features=near["features"] if len(local) else None,
+        background=_surfels(background, device) if len(background) else None,
         background_rgb=rgb,
-        shader=_shader(field),
+        shader=_shader(field, device),
     )
 
 
-def _surfels(part: SurfelSet) -> Surfels:
+def _surfels(part: SurfelSet, device: str) -> Surfels:
     return Surfels(
-        *(torch.from_numpy(a) for a in (part.means, part.quats, part.scales, part.opacities))
+        *(
+            torch.from_numpy(a).to(device)
+            for a in (part.means, part.quats, part.scales, part.opacities)
+        )
     )
 
 
-def _shader(field: SurfelField) -> Shader | None:
+def _shader(field: SurfelField, device: str) -> Shader | None:
     model = field.shader
     if not model.reflection:
         return None
-    shader = Shader(len(model.environment), model.local, model.mixing, model.physical)
+    shader = Shader(len(model.environment), model.local, model.mixing, model.physical).to(device)
     with torch.no_grad():
         shader.environment.copy_(torch.from_numpy(model.environment))
         for target, value in zip(
@@ -115,4 +116,4 @@ def _shader(field: SurfelField) -> Shader | None:
 
 
 def _array(tensor: torch.Tensor) -> F32:
-    return np.ascontiguousarray(tensor.numpy(), np.float32)
+    return np.ascontiguousarray(tensor.cpu().numpy(), np.float32)

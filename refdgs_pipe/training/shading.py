@@ -121,10 +121,9 @@ def _concatenated(scene: Scene) -> tuple[Surfels, Tensor]:
     if scene.background is None or scene.background_rgb is None:
         return scene.geometry, torch.cat(carried, -1)
     n, width = len(scene.diffuse), sum(c.shape[1] for c in carried)
-    inside = torch.cat([*carried, torch.ones(n, 1), torch.zeros(n, 3)], -1)
-    outside = torch.cat(
-        [torch.zeros(len(scene.background_rgb), width + 1), scene.background_rgb], -1
-    )
+    inside = torch.cat([*carried, scene.diffuse.new_ones(n, 1), scene.diffuse.new_zeros(n, 3)], -1)
+    rgb = scene.background_rgb
+    outside = torch.cat([rgb.new_zeros(len(rgb), width + 1), rgb], -1)
     g, b = scene.geometry, scene.background
     both = (
         torch.cat(pair)
@@ -160,14 +159,15 @@ def draw(
         inside_at = values.shape[1] - 4
         object_alpha, behind = maps.features[..., inside_at], maps.features[..., inside_at + 1 :]
     assert maps.normal is not None
+    # on a GPU this waits for the maps: the number of covered pixels shapes what follows
     pixels = torch.nonzero(object_alpha.detach().reshape(-1) > SHADED_ALPHA).flatten()
     diffuse, roughness, reflected, cosine, near = shading_inputs(
         maps.features, object_alpha, maps.normal, near, pixels, camera
     )
     if turntable:
-        reflected = reflected @ camera.cam_from_world[:3, :3].T
+        reflected = reflected @ camera.cam_from_world[:3, :3].T.to(reflected)
     if scene.shader is None:
-        radiance = torch.zeros(len(pixels), 3)
+        radiance = diffuse.new_zeros(len(pixels), 3)
     else:
         radiance = specular(scene.shader, reflected, roughness, cosine, near)
     image = composite(diffuse, radiance, pixels, object_alpha, maps.alpha, backdrop, behind)

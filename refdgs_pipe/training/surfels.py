@@ -4,7 +4,9 @@ import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from refdgs_pipe.artifacts.surfel_field import SurfelSet
@@ -63,7 +65,9 @@ class TrainableSet:
 
     def _reset_statistics(self) -> None:
         n = len(self)
-        self.gradient_sum, self.seen = torch.zeros(n), torch.zeros(n)
+        device = self.raw["means"].device
+        self.gradient_sum = torch.zeros(n, device=device)
+        self.seen = torch.zeros(n, device=device)
 
     def rebuild(self, source: Tensor, changed: dict[str, Tensor], fresh: Tensor) -> None:
         """Replace the set by surfels copied from `source` indices (M,).
@@ -97,7 +101,9 @@ class TrainableSet:
         return out
 
     def restore(self, state: dict[str, Tensor]) -> None:
-        """Inverse of `state`."""
+        """Inverse of `state`, whose tensors may be on another device."""
+        device = self.raw["means"].device
+        state = {name: tensor.to(device) for name, tensor in state.items()}
         self.gradient_sum, self.seen = state["gradient_sum"].clone(), state["seen"].clone()
         for group in self.optimizer.param_groups:
             name = group["name"]
@@ -115,14 +121,19 @@ class TrainableSet:
         with torch.no_grad():
             s = self.surfels()
             values = {
-                name: activated.reshape(len(self), math.prod(activated.shape[1:])).numpy().copy()
+                name: array(activated.reshape(len(self), math.prod(activated.shape[1:])))
                 for name, activated in _carried(self.raw).items()
             }
             quats = s.quats / s.quats.norm(dim=-1, keepdim=True)
             means, quats, scales, opacities = (
-                p.numpy().copy() for p in (s.means, quats, s.scales, s.opacities)
+                array(p) for p in (s.means, quats, s.scales, s.opacities)
             )
             return SurfelSet(means, quats, scales, opacities, values)
+
+
+def array(tensor: Tensor) -> NDArray[np.float32]:
+    """A copy of a tensor, from wherever it is."""
+    return np.array(tensor.detach().cpu().numpy())
 
 
 def _carried(raw: dict[str, Tensor]) -> dict[str, Tensor]:
@@ -164,7 +175,6 @@ def densify(group: TrainableSet, rules: DensityRules, keep: Tensor, rng: torch.G
         keep: (N,) bool from the caller, such as inside the object ball.
     """
     with torch.no_grad():
-        n = len(group)
         opacity = torch.sigmoid(group.raw["raw_opacities"])
         size = torch.exp(group.raw["log_scales"]).amax(-1)
         alive = keep & (opacity >= rules.opacity) & (size <= rules.largest)
@@ -173,7 +183,7 @@ def densify(group: TrainableSet, rules: DensityRules, keep: Tensor, rng: torch.G
         room = max(0, rules.most - int(alive.sum()))
         if int(wanted.sum()) > room:
             strongest = torch.where(wanted, pull, -1.0).topk(room).indices
-            wanted = torch.zeros(n, dtype=torch.bool)
+            wanted = torch.zeros_like(wanted)
             wanted[strongest] = True
         split = wanted & (size > rules.split_size)
         kept = torch.nonzero(alive & ~split).flatten()
@@ -184,10 +194,11 @@ def densify(group: TrainableSet, rules: DensityRules, keep: Tensor, rng: torch.G
         scales = group.raw["log_scales"].detach()[source].clone()
         if len(halves):
             axes = reference.rotation_matrices(group.raw["quats"].detach()[halves])[:, :, :2]
-            offset = torch.randn(len(halves), 2, generator=rng) * torch.exp(scales[-len(halves) :])
+            noise = torch.randn(len(halves), 2, generator=rng).to(scales.device)
+            offset = noise * torch.exp(scales[-len(halves) :])
             means[-len(halves) :] += (axes @ offset[..., None])[..., 0]
             scales[-len(halves) :] -= math.log(1.6)
-        fresh = torch.zeros(len(source), dtype=torch.bool)
+        fresh = torch.zeros(len(source), dtype=torch.bool, device=source.device)
         fresh[len(kept) :] = True
         halved = torch.where(wanted & ~split, 1 - torch.sqrt(1 - opacity), opacity)
         opacities = torch.logit(halved.clamp(1e-6, 1 - 1e-6))[source]

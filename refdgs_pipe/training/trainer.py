@@ -36,26 +36,43 @@ NEAR = 0.02  # of the distance of the nearest camera to the ball's centre
 
 
 class Trainer:
-    """Owns the field, the photos and the random numbers of one run."""
+    """Owns the field, the photos and the random numbers of one run.
+
+    Args:
+        device: where the steps are computed, "cpu" or "cuda"; results are on the CPU.
+        photos: those of the views, if they are in memory already.
+    """
 
     def __init__(
-        self, views: Views, model: SparseModel, params: TrainParams, scratch: Path
+        self,
+        views: Views,
+        model: SparseModel,
+        params: TrainParams,
+        scratch: Path,
+        *,
+        device: str = "cpu",
+        photos: list[TrainingPhoto] | None = None,
     ) -> None:
         keep_freed_memory()
-        self.params, self.model, self.scratch = params, model, scratch
+        self.params, self.model, self.scratch, self.device = params, model, scratch, device
         distances = [float(np.linalg.norm(c.center - model.ball.center)) for c in model.cameras]
         self.near = NEAR * min(distances)
-        self.full = load_training_photos(views, model, max_side=params.max_side, near=self.near)
-        if not self.full:
+        if photos is None:
+            photos = load_training_photos(views, model, max_side=params.max_side, near=self.near)
+        if not photos:
             raise TrainingError("no photo is left to train on: every view is held out or lost")
-        self.scales: dict[float, list[TrainingPhoto]] = {1.0: self.full}
         self.rng = torch.Generator().manual_seed(params.seed)
         torch.manual_seed(params.seed)
         self.masked = views.background != "photo"
-        self.field = TrainableField(params, model, self.full, masked=self.masked, near=self.near)
+        self.field = TrainableField(
+            params, model, photos, masked=self.masked, near=self.near, device=device
+        )
+        self.full = [photo.to(device) for photo in photos]
+        self.scales: dict[float, list[TrainingPhoto]] = {1.0: self.full}
         self.iteration = 0
         self.loss, self.psnr = math.nan, math.nan
         self.curve: list[tuple[int, float, float]] = []
+        self._unread: list[tuple[int, Tensor]] = []  # steps with their loss and squared error
 
     def run(self, progress: Progress) -> SurfelField:
         """Train to the end, or until `progress` raises; a checkpoint is kept either way.
@@ -71,6 +88,7 @@ class Trainer:
             while self.iteration < total:
                 self.step()
                 if self.iteration % REPORT_STEPS == 0:
+                    self._read()
                     count = len(self.field.geometry)
                     note = f"loss {self.loss:.4f}  PSNR {self.psnr:.2f} dB  {count} surfels"
                     progress(self.iteration, total, note, self._work())
@@ -80,18 +98,20 @@ class Trainer:
         except Cancelled:
             self.save()
             raise
+        self._read()
         return self.field.freeze()
 
     def coverage(self, field: SurfelField) -> float:
         """How much of the object the field shows, over a few training photos; see `coverage`."""
         photos = self.full[:: max(1, len(self.full) // COVERAGE_VIEWS)]
         masks = [
-            np.asarray(photo.mask.numpy() / 255, np.float32)
+            np.asarray(photo.mask.cpu().numpy() / 255, np.float32)
             for photo in photos
             if photo.mask is not None
         ]
         known = masks if self.masked and len(masks) == len(photos) else None
-        return coverage(field, [photo.camera for photo in photos], known, self.model.ball)
+        cameras = [photo.camera for photo in photos]
+        return coverage(field, cameras, known, self.model.ball, device=self.device)
 
     def step(self) -> None:
         """One photo, one gradient, one update."""
@@ -100,6 +120,7 @@ class Trainer:
         photo = self._photo(fraction)
         self.field.set_rates(fraction)
         backdrop = torch.rand(3, generator=self.rng) if self.masked else torch.zeros(3)
+        backdrop = backdrop.to(self.device)
         extra: Extra = "distortion" if p.distortion_weight > 0 else "depth"
         picture = draw(
             self.field.scene(photo.pinhole, fraction), photo.pinhole, backdrop, extra=extra
@@ -141,21 +162,31 @@ class Trainer:
         return loss
 
     def _note(self, loss: Tensor, image: Tensor, target: Tensor) -> None:
-        """Running figures; a loss that is not finite ends the run at the last good checkpoint."""
-        value = float(loss.detach())
-        if not math.isfinite(value):
-            raise TrainingError(
-                f"training diverged at step {self.iteration + 1}: the loss is {value}. The last "
-                "good checkpoint is kept; lower train.rate_means or change train.seed and run again"
-            )
+        """Keep the step's figures; on a GPU they are read later, so that nothing waits for them."""
         with torch.no_grad():
             error = (image - target).square().mean()
-        psnr = -10 * math.log10(max(float(error), 1e-10))
-        keep = 0.98 if math.isfinite(self.loss) else 0.0
-        self.loss = value if not keep else keep * self.loss + (1 - keep) * value
-        self.psnr = psnr if not keep else keep * self.psnr + (1 - keep) * psnr
-        if self.iteration % 50 == 0:
-            self.curve.append((self.iteration, self.loss, self.psnr))
+        self._unread.append((self.iteration, torch.stack([loss.detach(), error])))
+        if self.device == "cpu":
+            self._read()
+
+    def _read(self) -> None:
+        """Running figures; a loss that is not finite ends the run at the last good checkpoint."""
+        if not self._unread:
+            return
+        steps, figures = zip(*self._unread, strict=True)
+        self._unread.clear()
+        for step, (value, error) in zip(steps, torch.stack(figures).tolist(), strict=True):
+            if not math.isfinite(value):
+                raise TrainingError(
+                    f"training diverged at step {step + 1}: the loss is {value}. The last good "
+                    "checkpoint is kept; lower train.rate_means or change train.seed and run again"
+                )
+            psnr = -10 * math.log10(max(error, 1e-10))
+            keep = 0.98 if math.isfinite(self.loss) else 0.0
+            self.loss = value if not keep else keep * self.loss + (1 - keep) * value
+            self.psnr = psnr if not keep else keep * self.psnr + (1 - keep) * psnr
+            if step % 50 == 0:
+                self.curve.append((step, self.loss, self.psnr))
 
     def _work(self) -> float:
         """The share of the run's time that should be behind, from what its phases cost."""
@@ -175,6 +206,7 @@ class Trainer:
 
     def save(self) -> None:
         """Write the checkpoint; an older one is replaced only when the new one is complete."""
+        self._read()
         tensors = {**self.field.state(), "rng": self.rng.get_state()}
         figures = {"iteration": self.iteration, "loss": self.loss, "psnr": self.psnr}
         write_checkpoint(self.scratch, tensors, json.dumps({**figures, "curve": self.curve}))

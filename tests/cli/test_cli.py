@@ -213,6 +213,7 @@ def test_clean_frees_old_results(shell: Shell) -> None:
         (["run", "letters", "--set", "shout.marks=10"], 64, "less than or equal to 9"),
         (["run", "letters", "--until", "shot"], 64, "no stage is called 'shot'"),
         (["run", "letters", "--device", "tpu"], 64, "expected auto, cpu, cuda"),
+        (["run", "letters", "--vram", "lots"], 64, "expected an amount such as 8GB"),
         (["run", "letters", "--set", "shout.mood=mute"], 68, "no voice. Set shout.mood"),
         (["status", "letters"], 64, "not a workspace"),
         (["run"], 2, "Missing argument"),

@@ -1,5 +1,6 @@
 """Laws of the doctor and of choosing a device."""
 
+import importlib
 import importlib.util
 
 import pytest
@@ -43,3 +44,48 @@ def test_without_a_driver_auto_is_the_cpu_and_cuda_is_refused(
         device.choose_device("cuda")
     with pytest.raises(InputError, match="expected auto, cpu, cuda"):
         device.choose_device("tpu")
+
+
+def test_a_driver_alone_does_not_make_a_gpu_usable(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One mismatch at a time, each with its fix."""
+    import torch
+
+    native = importlib.import_module("_refdgs_native")
+    monkeypatch.setattr(device, "has_driver", lambda: True)
+    monkeypatch.setattr(device, "driver_version", lambda: "470.82")
+    monkeypatch.setattr(torch.version, "cuda", None)
+    assert "is a build for the CPU. Install one for CUDA" in str(device.cuda_problem())
+    monkeypatch.setattr(torch.version, "cuda", "13.0")
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    assert "the driver 470.82 lets it use. Update the driver" in str(device.cuda_problem())
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(native, "cuda_archs", "")
+    assert "built without CUDA. Reinstall where nvcc" in str(device.cuda_problem())
+    monkeypatch.setattr(native, "cuda_archs", "90-real")
+    monkeypatch.setattr(torch.cuda, "get_device_capability", lambda: (8, 6))
+    monkeypatch.setattr(torch.cuda, "get_device_name", lambda: "RTX 3090")
+    problem = str(device.cuda_problem())
+    assert "built for sm_90, but the RTX 3090 is sm_86. Build for it" in problem
+    assert "REFDGS_CUDA_ARCHS=86" in problem
+    assert device.choose_device("auto") == "cpu"
+    monkeypatch.setattr(torch.cuda, "get_device_capability", lambda: (9, 0))
+    assert device.cuda_problem() is None and device.choose_device("auto") == "cuda"
+
+
+def test_compiled_code_runs_within_its_generation_and_ptx_on_newer_ones() -> None:
+    assert device.runs_on("80-real,120-virtual", 8, 6)
+    assert not device.runs_on("86-real", 8, 0)
+    assert not device.runs_on("80-real,90-real", 10, 0)
+    assert device.runs_on("80-real,90", 10, 0)
+    assert device.runs_on("80-real,120-virtual", 12, 1)
+    assert not device.runs_on("90-virtual", 8, 9)
+    assert device.described("80-real,90,120-virtual") == "sm_80 sm_90 and PTX"
+
+
+def test_amounts_of_memory_are_read() -> None:
+    assert device.bytes_of("8GB") == 8 * 10**9
+    assert device.bytes_of("1.5 gib") == 3 * 2**29
+    assert device.bytes_of("") == 0
+    for wrong in ("8", "GB", "0GB", "-1GB", "8TBx"):
+        with pytest.raises(InputError, match="expected an amount such as 8GB"):
+            device.bytes_of(wrong)

@@ -1,0 +1,105 @@
+// The grid of grid.h on the CPU: each thread of a block is a fiber with its own stack, and waits where a GPU's
+// thread would. For tests; slow.
+#pragma once
+#include <csetjmp>
+#include <cstring>
+#include <memory>
+#include <random>
+#include <vector>
+
+#include <ucontext.h>
+
+#include "grid.h"
+#include "queue.h"
+
+namespace refdgs::cuda {
+
+// One block's threads. A block whose threads do not all come to a barrier throws.
+class Fibers {
+ public:
+  Fibers(int threads, unsigned order);
+  // Runs body(thread) in every fiber to its end.
+  template <class F> void run(F&& body) {
+    start([](void* f, int thread) { (*static_cast<std::remove_reference_t<F>*>(f))(thread); }, &body);
+  }
+
+  void barrier() { wait(block_, threads_); }
+  void barrier_warp(int warp) { wait(warps_[size_t(warp)].gate, kWarp); }
+  // Every lane leaves a value and reads the others' after all have come. Two sets of slots: a lane can be one
+  // exchange ahead of another, not two.
+  template <class V> V exchange(int thread, V value, int from) {
+    static_assert(sizeof(V) <= 8, "a register");
+    Warp& w = warps_[size_t(thread / kWarp)];
+    char* slots = w.slots[w.gate.turn & 1];
+    std::memcpy(slots + 8 * (thread % kWarp), &value, sizeof value);
+    wait(w.gate, kWarp);
+    V out;
+    std::memcpy(&out, slots + 8 * from, sizeof out);
+    return out;
+  }
+  uint32_t ballot(int thread, bool p);
+
+ private:
+  struct Gate {
+    int come = 0;
+    unsigned turn = 0;
+  };
+  struct Warp {
+    Gate gate;
+    char slots[2][8 * kWarp];
+  };
+  struct Fiber {
+    ucontext_t entry;
+    jmp_buf at;
+    std::unique_ptr<char[]> stack;
+    bool begun, done;
+  };
+  void start(void (*body)(void*, int), void* argument);
+  void wait(Gate& gate, int all);
+  void yield();
+  void resume(int thread);
+  static void enter(unsigned high, unsigned low);
+
+  int threads_, current_ = 0;
+  bool moved_ = false;
+  std::vector<Fiber> fibers_;
+  std::vector<int> turns_;
+  std::vector<Warp> warps_;
+  Gate block_;
+  jmp_buf home_;
+  void (*body_)(void*, int) = nullptr;
+  void* argument_ = nullptr;
+};
+
+struct EmulatedThread {
+  int block_, thread_;
+  Fibers* fibers;
+  int block() const { return block_; }
+  int thread() const { return thread_; }
+  int lane() const { return thread_ % kWarp; }
+  int warp() const { return thread_ / kWarp; }
+  void sync() { fibers->barrier(); }
+  void sync_warp() { fibers->barrier_warp(warp()); }
+  template <class V> V shuffle(V v, int lane) { return fibers->exchange(thread_, v, lane); }
+  template <class V> V shuffle_xor(V v, int mask) { return fibers->exchange(thread_, v, lane() ^ mask); }
+  uint32_t ballot(bool p) { return fibers->ballot(thread_, p); }
+  bool any(bool p) { return ballot(p) != 0; }
+  void add_bits(int64_t* p, int64_t v) { *p = int64_t(uint64_t(*p) + uint64_t(v)); }
+  void raise_bits(uint32_t* p, uint32_t v) { *p = *p < v ? v : *p; }
+};
+
+// Shared memory starts as garbage, as on a GPU.
+template <class K> void EmulatedQueue::run(int64_t blocks, const K& kernel) const {
+  if (!blocks) return;
+  Fibers fibers(K::kThreads, unsigned(reinterpret_cast<uintptr_t>(order)));
+  auto shared = std::make_unique<typename K::Shared>();
+  for (int64_t block = 0; block < blocks; ++block) {
+    std::memset(static_cast<void*>(shared.get()), 0xa5, sizeof *shared);
+    fibers.run([&](int thread) {
+      EmulatedThread t{int(block), thread, &fibers};
+      kernel(t, *shared);
+    });
+  }
+}
+
+}  // namespace refdgs::cuda

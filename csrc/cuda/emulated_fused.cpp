@@ -1,0 +1,17 @@
+#include "emulated.h"
+#include "image_loss.inl"
+#include "mlp.inl"
+#include "shade.inl"
+#include "sph_mip.inl"
+
+namespace refdgs::cuda {
+
+#define REFDGS_EMULATED(S)              \
+  REFDGS_IMAGE_LOSS(S, EmulatedQueue)   \
+  REFDGS_MLP(S, EmulatedQueue)          \
+  REFDGS_SHADE(S, EmulatedQueue)        \
+  REFDGS_SPH_MIP(S, EmulatedQueue)
+REFDGS_EMULATED(float)
+REFDGS_EMULATED(double)
+
+}  // namespace refdgs::cuda

@@ -1,0 +1,19 @@
+// The steps of mlp.h on any queue; included by one file for each.
+#include "mlp_kernels.h"
+
+namespace refdgs::cuda {
+
+template <class S, class Queue> void mlp(const Queue& q, const MlpCall<S>& call) {
+  q.run(blocks_for(call.points.count, kMlpPoints), MlpForward<S>{call});
+}
+
+template <class S, class Queue> void mlp_bwd(const Queue& q, const MlpCall<S>& call) {
+  q.run(call.blocks, MlpBackward<S>{call});
+  q.run(blocks_for(call.numbers(), kWarp), SumParts<S>{call});
+}
+
+#define REFDGS_MLP(S, Queue)                                       \
+  template void mlp<S, Queue>(const Queue&, const MlpCall<S>&);    \
+  template void mlp_bwd<S, Queue>(const Queue&, const MlpCall<S>&);
+
+}  // namespace refdgs::cuda

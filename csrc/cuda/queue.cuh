@@ -1,0 +1,56 @@
+// Kernels on a GPU: one launch each, on the caller's stream. Nothing is allocated and nothing waits.
+#pragma once
+#include <cuda_runtime.h>
+
+#include <stdexcept>
+#include <string>
+#include <type_traits>
+
+#include "grid.h"
+#include "queue.h"
+
+namespace refdgs::cuda {
+
+struct DeviceThread {
+  static constexpr unsigned kAll = 0xffffffffu;
+  __device__ int block() const { return int(blockIdx.x); }
+  __device__ int thread() const { return int(threadIdx.x); }
+  __device__ int lane() const { return int(threadIdx.x) % kWarp; }
+  __device__ int warp() const { return int(threadIdx.x) / kWarp; }
+  __device__ void sync() { __syncthreads(); }
+  __device__ void sync_warp() { __syncwarp(); }
+  template <class V> __device__ V shuffle(V v, int lane) { return __shfl_sync(kAll, v, lane); }
+  template <class V> __device__ V shuffle_xor(V v, int mask) { return __shfl_xor_sync(kAll, v, mask); }
+  __device__ uint32_t ballot(bool p) { return __ballot_sync(kAll, p); }
+  __device__ bool any(bool p) { return __any_sync(kAll, p); }
+  __device__ void add_bits(int64_t* p, int64_t v) {
+    atomicAdd(reinterpret_cast<unsigned long long*>(p), static_cast<unsigned long long>(v));
+  }
+  __device__ void raise_bits(uint32_t* p, uint32_t v) { atomicMax(p, v); }
+};
+
+// Blocks that an SM must have registers for: a kernel may name kResident.
+template <class K, class = void> struct Resident {
+  static constexpr int blocks = 1;
+};
+template <class K> struct Resident<K, std::void_t<decltype(K::kResident)>> {
+  static constexpr int blocks = K::kResident;
+};
+
+template <class K> __global__ void __launch_bounds__(K::kThreads, Resident<K>::blocks) enter(const K kernel) {
+  __shared__ typename K::Shared shared;
+  DeviceThread thread;
+  kernel(thread, shared);
+}
+
+inline void check(cudaError_t status, const char* what) {
+  if (status != cudaSuccess) throw std::runtime_error(std::string("CUDA, ") + what + ": " + cudaGetErrorString(status));
+}
+
+template <class K> void DeviceQueue::run(int64_t blocks, const K& kernel) const {
+  if (!blocks) return;
+  enter<K><<<unsigned(blocks), K::kThreads, 0, static_cast<cudaStream_t>(stream)>>>(kernel);
+  check(cudaGetLastError(), "launch");
+}
+
+}  // namespace refdgs::cuda

@@ -1,0 +1,105 @@
+// From slots to surfels: SumSlots adds a surfel's slots, a warp a surfel and a lane a component, so that every slot is
+// read as one row; SurfelVjp passes the sums on to the parameters, a thread a surfel. E slots of 4 (12 + C) bytes in,
+// N rows of that out and in again, 40 + 4 C bytes of gradients out: 58 + 37 MB at 600,000 entries, 130,000 surfels and
+// 12 channels, 22 us at 4.3 TB/s; 300 flop a surfel do not count.
+#pragma once
+#include "../math/record.h"
+#include "grid.h"
+#include "raster.h"
+
+namespace refdgs::cuda {
+
+template <class S> struct SumSlots {
+  static constexpr int kThreads = 256;
+  using Shared = Nothing;
+  Drawing<S> d;
+  DrawingGrads<S> v;
+
+  template <class Thread> REFDGS_KERNEL void operator()(Thread& t, Shared&) const {
+    const int64_t i = int64_t(t.block()) * (kThreads / kWarp) + t.warp();
+    const bool there = i < d.surfels.count;
+    const int64_t begin = there ? d.slot_start[i] : 0, end = there ? d.slot_start[i + 1] : 0;
+    const int c = t.lane(), width = d.width();
+    S sum = 0;
+    for (int64_t base = begin; base < end; base += kWarp) {
+      uint32_t list = t.ballot(base + c < end && v.activity[base + c]);
+      while (list) {  // four loads on their way at once
+        S row[4] = {};
+        for (int k = 0; k < 4; ++k) {
+          if (!list) break;
+          if (c < width) row[k] = v.slots[(base + lowest_bit(list)) * width + c];
+          list &= list - 1;
+        }
+        for (int k = 0; k < 4; ++k) sum += row[k];
+      }
+    }
+    if (there && c < width) v.sums[i * width + c] = sum;
+  }
+};
+
+template <class S> struct SurfelVjp {
+  static constexpr int kThreads = kVjpThreads, kWarps = kThreads / kWarp;
+  struct Shared {
+    S pose[kWarps][12];
+  };
+  Drawing<S> d;
+  DrawingGrads<S> v;
+
+  template <class Thread> REFDGS_KERNEL void operator()(Thread& t, Shared& s) const {
+    const int64_t i = int64_t(t.block()) * kThreads + t.thread();
+    S pose[12] = {};
+    if (i < d.surfels.count) pass_on(i, pose);
+    if (!v.pose_parts) return;
+    const S total = sum_lanes<12>(t, pose);
+    if (t.lane() < 12) s.pose[t.warp()][t.lane()] = total;
+    t.sync();
+    if (t.thread() >= 12) return;
+    S sum = 0;
+    for (int w = 0; w < kWarps; ++w) sum += s.pose[w][t.thread()];
+    v.pose_parts[int64_t(t.block()) * 12 + t.thread()] = sum;
+  }
+
+  REFDGS_KERNEL void pass_on(int64_t i, S* pose) const {
+    const SurfelGrads<S>& out = v.out;
+    const S* g = v.sums + i * d.width();
+    const int channels = d.surfels.channels;
+    for (int c = 0; c < channels; ++c) out.features[i * channels + c] = g[kGradHead + c];
+    out.opacities[i] = g[9];
+    out.screen[2 * i] = std::sqrt(g[0] * g[0] + g[1] * g[1]);
+    out.screen[2 * i + 1] = std::sqrt(g[10] * g[10] + g[11] * g[11]);
+    SurfelGrad<S> to{};
+    if (d.slot_start[i + 1] > d.slot_start[i])
+      to = record_vjp(d.surfels.means + 3 * i, d.surfels.quats + 4 * i, d.surfels.scales + 2 * i, d.cam,
+                      d.records + i * d.stride, g, d.normals ? g + kGradHead + channels : nullptr);
+    for (int c = 0; c < 3; ++c) out.means[3 * i + c] = to.mean[c];
+    for (int c = 0; c < 4; ++c) out.quats[4 * i + c] = to.quat[c];
+    for (int c = 0; c < 2; ++c) out.scales[2 * i + c] = to.scale[c];
+    for (int c = 0; c < 12; ++c) pose[c] = to.v_pose[c];
+  }
+};
+
+// out[c] = the sum of column c of parts [rows][columns], added in double and in one fixed order.
+template <class S> struct SumRows {
+  static constexpr int kThreads = 256;
+  struct Shared {
+    double sums[kThreads];
+  };
+  const S* parts;
+  int64_t rows;
+  int columns;
+  S* out;
+
+  template <class Thread> REFDGS_KERNEL void operator()(Thread& t, Shared& s) const {
+    const int c = t.thread() % columns, stripe = t.thread() / columns, stripes = kThreads / columns;
+    double sum = 0;
+    if (stripe < stripes)
+      for (int64_t row = stripe; row < rows; row += stripes) sum += double(parts[row * columns + c]);
+    s.sums[t.thread()] = sum;
+    t.sync();
+    if (t.thread() >= columns) return;
+    for (int k = 1; k < stripes; ++k) sum += s.sums[k * columns + c];
+    out[c] = S(sum);
+  }
+};
+
+}  // namespace refdgs::cuda

@@ -1,0 +1,48 @@
+// The steps of shade.h on any queue; included by one file for each.
+#include "shade_kernels.h"
+
+namespace refdgs::cuda {
+
+template <class S, class Queue>
+void shading_inputs(const Queue& q, const Covered<S>& at, const Inputs<S>& out) {
+  q.run(blocks_for(at.count, GatherInputs<S>::kThreads), GatherInputs<S>{at, out});
+}
+
+template <class S, class Queue>
+void shading_inputs_bwd(const Queue& q, const Covered<S>& at, const Inputs<const S>& v, const MapGrads<S>& grads) {
+  q.run(blocks_for(at.count, GatherInputsBwd<S>::kThreads), GatherInputsBwd<S>{at, v, grads});
+}
+
+template <class S, class Queue>
+void composite(const Queue& q, const Composite<S>& in, const S* backdrop, S* image) {
+  const int64_t plane = int64_t(in.width) * in.height;
+  q.run(blocks_for(plane, ComposeBehind<S>::kThreads), ComposeBehind<S>{in, backdrop, image});
+  q.run(blocks_for(in.count, ComposeObject<S>::kThreads), ComposeObject<S>{in, image});
+}
+
+template <class S, class Queue>
+void composite_bwd(const Queue& q, const Composite<S>& in, const S* backdrop, Image<S> v_image, S* v_linear,
+                   S* v_object_alpha, S* v_alpha) {
+  const int64_t plane = int64_t(in.width) * in.height;
+  q.run(blocks_for(plane, ComposeBehindBwd<S>::kThreads),
+        ComposeBehindBwd<S>{in, backdrop, v_image, v_object_alpha, v_alpha});
+  q.run(blocks_for(in.count, ComposeObjectBwd<S>::kThreads), ComposeObjectBwd<S>{in, v_image, v_linear, v_object_alpha});
+}
+
+template <class S, class Queue>
+void normal_agreement(const Queue& q, const Agreement<S>& in, S* slopes, S* parts, S* sum) {
+  const int64_t plane = int64_t(in.view.width) * in.view.height, blocks = blocks_for(plane, kAgreementThreads);
+  q.run(blocks, AgreeNormals<S>{in, slopes, parts});
+  q.run(1, SumRows<S>{parts, blocks, 1, sum});
+  if (slopes) q.run(blocks_for(plane, AgreeNormalsBwd<S>::kThreads), AgreeNormalsBwd<S>{in, slopes});
+}
+
+#define REFDGS_SHADE(S, Queue)                                                                               \
+  template void shading_inputs<S, Queue>(const Queue&, const Covered<S>&, const Inputs<S>&);                 \
+  template void shading_inputs_bwd<S, Queue>(const Queue&, const Covered<S>&, const Inputs<const S>&,        \
+                                             const MapGrads<S>&);                                            \
+  template void composite<S, Queue>(const Queue&, const Composite<S>&, const S*, S*);                        \
+  template void composite_bwd<S, Queue>(const Queue&, const Composite<S>&, const S*, Image<S>, S*, S*, S*);  \
+  template void normal_agreement<S, Queue>(const Queue&, const Agreement<S>&, S*, S*, S*);
+
+}  // namespace refdgs::cuda

@@ -1,0 +1,68 @@
+"""Where the CUDA kernels are, the stream they run on, and the memory they are given."""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import _refdgs_native as native
+import torch
+from torch import Tensor
+
+from refdgs_pipe.errors import DeviceError, ShapeError
+
+
+def on_gpu(tensor: Tensor) -> bool:
+    """Whether an operation on this tensor is the CUDA kernels' work."""
+    return tensor.device.type == "cuda"
+
+
+def check_gpu(name: str, tensor: Tensor) -> None:
+    """There are kernels for this tensor.
+
+    Raises:
+        DeviceError: it is on a device that this build has no kernels for.
+        ShapeError: it is not float32, the only type that they compute in.
+    """
+    if tensor.device.type == "cpu":
+        return
+    if tensor.device.type != "cuda" or not native.cuda_archs:
+        raise DeviceError(
+            f"{name} is on {tensor.device}, but this build computes on the CPU only: "
+            "use --device cpu, or install where nvcc is found"
+        )
+    if tensor.dtype != torch.float32:
+        raise ShapeError(f"{name} is {tensor.dtype}: the GPU computes in float32")
+
+
+def kernels(name: str, like: Tensor) -> Callable[..., Any]:
+    """A function of the native module for the type of `like`, on torch's current stream."""
+    found = getattr(native.cuda, f"{name}_{suffix(like)}")
+    return partial(found, torch.cuda.current_stream(like.device).cuda_stream)
+
+
+def suffix(like: Tensor) -> str:
+    """How the native functions for this type end."""
+    return "float" if like.dtype == torch.float32 else "double"
+
+
+def processors(like: Tensor) -> int:
+    """How many multiprocessors the GPU has."""
+    count: int = torch.cuda.get_device_properties(like.device).multi_processor_count
+    return count
+
+
+def memory(size: int, like: Tensor) -> Tensor:
+    """(size,) bytes with unknown content where `like` is; torch keeps them for the next call."""
+    return torch.empty(size, dtype=torch.uint8, device=like.device)
+
+
+def image(tensor: Tensor | None) -> tuple[int, list[int]]:
+    """Address and strides (row, column, channel) of (H, W) or (H, W, C); None is address 0."""
+    if tensor is None:
+        return 0, [0, 0, 0]
+    return tensor.data_ptr(), [*tensor.stride(), 0][:3]
+
+
+def table(tensor: Tensor) -> tuple[int, list[int]]:
+    """Address and strides (row, column) of (P,) or (P, C)."""
+    return tensor.data_ptr(), [*tensor.stride(), 0][:2]

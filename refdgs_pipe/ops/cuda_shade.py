@@ -1,0 +1,123 @@
+"""Deferred shading on a GPU, behind autograd; nothing waits for it."""
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from refdgs_pipe.ops import cuda
+from refdgs_pipe.ops.rasterize import Pinhole
+
+AGREEMENT_BLOCK = 256  # pixels whose part of the sum is one
+
+
+def numbers_of(camera: Pinhole) -> list[float]:
+    """Lens and the rotation from the camera to the world."""
+    rotation = camera.cam_from_world[:3, :3].detach().double().T.flatten().tolist()
+    return [camera.fx, camera.fy, camera.cx, camera.cy, *rotation]
+
+
+class ShadingInputs(torch.autograd.Function):
+    """Diffuse, roughness, mirrored ray, cosine, and near (P, 4 or 0)."""
+
+    @staticmethod
+    def forward(
+        ctx: Any,
+        features: Tensor,
+        alpha: Tensor,
+        normal: Tensor,
+        near: Tensor | None,
+        pixels: Tensor,
+        camera: Pinhole,
+    ) -> tuple[Tensor, ...]:
+        count, channels = len(pixels), features.shape[2]
+        planes = [features.new_empty(width, count) for width in (3, 1, 3, 1)]
+        diffuse, roughness, reflected, cosine = planes
+        out = [diffuse.T, roughness[0], reflected.T, cosine[0]]
+        out.append(features.new_empty(count, 4 if near is not None else 0))
+        images = [cuda.image(t) for t in (features, alpha, normal, near)]
+        head = ([*alpha.shape], numbers_of(camera), count, pixels.data_ptr(), channels, images)
+        cuda.kernels("shading_inputs", alpha)(*head, [cuda.table(t) for t in out])
+        ctx.save_for_backward(features, alpha, normal, near, pixels)
+        ctx.head = head
+        return tuple(out)
+
+    @staticmethod
+    def backward(ctx: Any, *v: Tensor) -> tuple[Tensor | None, ...]:
+        features, alpha, _, near, _ = ctx.saved_tensors
+        widths = (features.shape[2], 1, 3, 4 if near is not None else 0)
+        grads = [alpha.new_zeros(width, *alpha.shape) for width in widths]
+        cuda.kernels("shading_inputs_bwd", alpha)(
+            *ctx.head, [cuda.table(t) for t in v], [t.data_ptr() for t in grads]
+        )
+        v_features, v_alpha, v_normal, v_near = (g.permute(1, 2, 0) for g in grads)
+        last = v_near if near is not None else None
+        return v_features, v_alpha[..., 0], v_normal, last, None, None
+
+
+class Composite(torch.autograd.Function):
+    """The picture, (H, W, 3)."""
+
+    @staticmethod
+    def forward(
+        ctx: Any,
+        diffuse: Tensor,
+        radiance: Tensor,
+        pixels: Tensor,
+        object_alpha: Tensor,
+        alpha: Tensor,
+        backdrop: Tensor,
+        behind: Tensor | None,
+    ) -> Tensor:
+        backdrop = backdrop.to(alpha).contiguous()
+        planes = alpha.new_empty(3, *alpha.shape)
+        tables = [cuda.table(t) for t in (diffuse, radiance)]
+        images = [cuda.image(t) for t in (object_alpha, alpha, behind)]
+        head = ([*alpha.shape], len(pixels), pixels.data_ptr(), tables, images, backdrop.data_ptr())
+        cuda.kernels("composite", alpha)(*head, planes.data_ptr())
+        ctx.save_for_backward(diffuse, radiance, pixels, object_alpha, alpha, behind, backdrop)
+        ctx.head = head
+        return planes.permute(1, 2, 0)
+
+    @staticmethod
+    def backward(ctx: Any, *v: Tensor) -> tuple[Tensor | None, ...]:
+        _, radiance, _, _, alpha, behind, _ = ctx.saved_tensors
+        linear = radiance.new_empty(3, len(radiance))
+        v_object, v_alpha = alpha.new_empty(alpha.shape), alpha.new_empty(alpha.shape)
+        cuda.kernels("composite_bwd", alpha)(
+            *ctx.head, [cuda.image(v[0])], [t.data_ptr() for t in (linear, v_object, v_alpha)]
+        )
+        v_behind = None if behind is None else v[0]
+        return linear.T, linear.T, None, v_object, v_alpha, None, v_behind
+
+
+class NormalAgreement(torch.autograd.Function):
+    """Forward computes the whole gradient of the scalar and backward scales it."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, normal: Tensor, depth: Tensor, alpha: Tensor, camera: Pinhole, edge: float
+    ) -> Tensor:
+        height, width = alpha.shape
+        scale = 1.0 / ((height - 2) * (width - 2))
+        grads: list[Tensor] = []
+        if any(ctx.needs_input_grad):
+            grads = [alpha.new_empty(channels, height, width) for channels in (3, 1, 1, 6)]
+        blocks = -(-height * width // AGREEMENT_BLOCK)
+        parts, total = cuda.memory(blocks * alpha.itemsize, alpha), alpha.new_empty(1)
+        cuda.kernels("normal_agreement", alpha)(
+            [height, width],
+            numbers_of(camera),
+            [cuda.image(t) for t in (normal, depth, alpha)],
+            scale,
+            edge,
+            [t.data_ptr() for t in grads] or [0] * 4,
+            [parts.data_ptr(), total.data_ptr()],
+        )
+        ctx.grads = grads[:3]
+        return total[0] * scale
+
+    @staticmethod
+    def backward(ctx: Any, *v: Tensor) -> tuple[Tensor | None, ...]:
+        v_normal, v_depth, v_alpha = (g * v[0] for g in ctx.grads)
+        return v_normal.permute(1, 2, 0), v_depth[0], v_alpha[0], None, None

@@ -1,0 +1,143 @@
+"""What a run needs of a GPU's memory, and smaller settings where there is less."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+
+from refdgs_pipe.artifacts.sparse_model import SparseModel
+from refdgs_pipe.artifacts.surfel_field import SurfelField
+from refdgs_pipe.errors import DeviceError
+from refdgs_pipe.training.settings import TrainParams
+from refdgs_pipe.training.trainer import Progress, Trainer
+
+# Bytes, counted from the tensors that live at once in a step: torch and its kernels; maps, shading
+# and their gradients for a pixel; parameters, Adam, records and 8 entries of 150 for a surfel; a
+# number of the Sph-Mip map with Adam, mips and its gradient in whole numbers.
+FIXED, PER_PIXEL, PER_SURFEL, PER_MAP_NUMBER = 700_000_000, 800, 2000, 32
+SPARE = 0.9  # share of the free memory that is planned with; the rest is lost between blocks
+LEAST_SIDE, LEAST_SURFELS = 256, 5000
+SMALLER_SIDE, FEWER_SURFELS = 0.85, 0.75
+TRIES = 6
+CAPS = ("surfels", "max_surfels", "local_surfels", "max_local_surfels", "background_surfels")
+
+
+@dataclass(frozen=True)
+class Need:
+    """Bytes of GPU memory by what asks for them."""
+
+    pixels: int
+    surfels: int
+    fixed: int
+
+    @property
+    def total(self) -> int:
+        """Their sum."""
+        return self.pixels + self.surfels + self.fixed
+
+
+def need_of(params: TrainParams, model: SparseModel) -> Need:
+    """What training with these settings takes at its largest."""
+    cameras = [camera for camera in model.cameras if camera.split == "train"]
+    sizes = []
+    for camera in cameras:
+        scale = min(1.0, params.max_side / max(camera.width, camera.height))
+        sizes.append(camera.width * camera.height * scale * scale)
+    kept = sum(sizes) * 5 * (1 + params.coarse**2)  # RGB, mask and validity, at two scales
+    surfels = params.max_surfels + params.background_surfels
+    if params.reflection and params.local == "dual":
+        surfels += params.max_local_surfels
+    numbers = params.environment_height**2 * 2 * 4 if params.reflection else 0
+    return Need(
+        int(kept + max(sizes, default=0.0) * PER_PIXEL),
+        surfels * PER_SURFEL,
+        FIXED + numbers * PER_MAP_NUMBER,
+    )
+
+
+def fitted(params: TrainParams, model: SparseModel, budget: int) -> TrainParams:
+    """The settings, made smaller until they need no more than `budget` bytes.
+
+    Whichever of pixels and surfels takes more is lowered first.
+
+    Raises:
+        DeviceError: even the smallest settings need more.
+    """
+    while (need := need_of(params, model)).total > budget:
+        smaller = _smaller(params, pixels=need.pixels >= need.surfels)
+        if smaller == params:
+            raise DeviceError(
+                f"training needs at least {need.total / 1e9:.1f} GB of GPU memory and may use "
+                f"{budget / 1e9:.1f} GB: give more by --vram, free the GPU, or use --device cpu"
+            )
+        params = smaller
+    return params
+
+
+def planned(
+    params: TrainParams, model: SparseModel, *, vram: int, warn: Callable[[str], None]
+) -> TrainParams:
+    """Settings that fit the GPU's free memory and `vram` bytes (0: no limit); says what changed.
+
+    Raises:
+        DeviceError: nothing fits.
+    """
+    budget = int(SPARE * torch.cuda.mem_get_info()[0])
+    budget = min(budget, vram) if vram else budget
+    fitting = fitted(params, model, budget)
+    if fitting != params:
+        warn(f"{budget / 1e9:.1f} GB of GPU memory: {changes(params, fitting)}")
+    return fitting
+
+
+def train_within(
+    make: Callable[[TrainParams], Trainer],
+    params: TrainParams,
+    progress: Progress,
+    warn: Callable[[str], None],
+) -> tuple[Trainer, SurfelField]:
+    """Train; where the GPU's memory runs out, go on from the last checkpoint with smaller settings.
+
+    Raises:
+        DeviceError: it runs out with the smallest settings too.
+    """
+    for turn in range(TRIES):
+        try:
+            trainer = make(params)
+            return trainer, trainer.run(progress)
+        except torch.cuda.OutOfMemoryError:
+            smaller = _smaller(_smaller(params, pixels=turn % 2 == 0), pixels=turn % 2 == 0)
+        # after the except clause: until its end the failed step's tensors are alive
+        torch.cuda.empty_cache()
+        if smaller == params:
+            break
+        warn(f"the GPU's memory ran out: {changes(params, smaller)}")
+        params = smaller
+    raise DeviceError(
+        f"the GPU's memory runs out even at {params.max_side} pixels and {params.max_surfels} "
+        "surfels: free the GPU, or use --device cpu"
+    )
+
+
+def changes(before: TrainParams, after: TrainParams) -> str:
+    """What differs, in words."""
+    parts = []
+    if after.max_side != before.max_side:
+        parts.append(f"training at {after.max_side} instead of {before.max_side} pixels")
+    if after.max_surfels != before.max_surfels:
+        parts.append(f"at most {after.max_surfels} instead of {before.max_surfels} surfels")
+    return ", ".join(parts)
+
+
+def _smaller(params: TrainParams, *, pixels: bool) -> TrainParams:
+    """One step down, of the image side or of all counts of surfels; of the other at the least."""
+    side = max(LEAST_SIDE, int(params.max_side * SMALLER_SIDE))
+    counts = {name: _fewer(getattr(params, name)) for name in CAPS}
+    shrinks, thins = side < params.max_side, counts["max_surfels"] < params.max_surfels
+    if shrinks and (pixels or not thins):
+        return params.model_copy(update={"max_side": side})
+    return params.model_copy(update=counts) if thins else params
+
+
+def _fewer(count: int) -> int:
+    return min(count, max(LEAST_SURFELS, int(count * FEWER_SURFELS)))

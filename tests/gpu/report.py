@@ -1,0 +1,110 @@
+"""One JSON and one Markdown report of what run_all.sh left in a folder.
+
+python tests/gpu/report.py FOLDER
+"""
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+STEPS = ("build", "doctor", "parity", "memcheck", "racecheck", "timing", "training")
+OPTIONAL = ("memcheck", "racecheck")  # a machine may not let a checker near its GPU
+
+IMPOSSIBLE = "not possible on this machine"
+
+
+def read(folder: Path) -> dict[str, Any]:
+    """Every step's exit code, seconds, record and last words."""
+    out: dict[str, Any] = {}
+    for step in STEPS:
+        status = folder / f"{step}.status"
+        if not status.exists():
+            out[step] = {"status": IMPOSSIBLE if step in OPTIONAL else "not run"}
+            continue
+        code, seconds = status.read_text().split()
+        found: dict[str, Any] = {"exit code": int(code), "seconds": int(seconds)}
+        log = folder / f"{step}.log"
+        text = log.read_text(errors="replace") if log.exists() else ""
+        found["status"] = "ok" if code == "0" else "failed"
+        if step in OPTIONAL and "ERROR SUMMARY" not in text and "RACECHECK SUMMARY" not in text:
+            found["status"] = IMPOSSIBLE
+        found["last words"] = text[-1500:]
+        record = folder / f"{step}.json"
+        if record.exists():
+            found["record"] = json.loads(record.read_text())
+        out[step] = found
+    return out
+
+
+def _parity(record: dict[str, Any]) -> list[str]:
+    rows = record["rows"]
+    lines = ["| case | outputs | worst error | which | CPU float32 there | same bits | ok |"]
+    lines.append("|---|---:|---:|---|---:|---|---|")
+    for case in dict.fromkeys(row["case"] for row in rows):
+        mine = [row for row in rows if row["case"] == case]
+        worst = max(mine, key=lambda row: row["error"])
+        same = all(row["same every time"] for row in mine)
+        ok = all(row["ok"] for row in mine)
+        lines.append(
+            f"| {case} | {len(mine)} | {worst['error']:.1e} | {worst['output']} | "
+            f"{worst['cpu float32']:.1e} | {'yes' if same else 'NO'} | {'yes' if ok else 'NO'} |"
+        )
+    above = [row for row in rows if row["ok"] and row["error"] > record["limit"]]
+    for row in above:
+        lines.append(
+            f"\n{row['case']}, {row['output']}: {row['error']:.1e} is above {record['limit']:.0e}, "
+            f"as is the CPU's own float32 ({row['cpu float32']:.1e})."
+        )
+    return lines
+
+
+def _timing(record: dict[str, Any]) -> list[str]:
+    lines = [f"Copies reach {record['GB/s']:.0f} GB/s, products {record['TFLOP/s']:.1f} TFLOP/s."]
+    lines += ["", "| operation | ms | floor, ms | times the floor |", "|---|---:|---:|---:|"]
+    for row in record["rows"]:
+        lines.append(
+            f"| {row['what']} | {row['ms']:.3f} | {row['floor ms']:.3f} | "
+            f"{row['times the floor']:.1f} |"
+        )
+    if record["kernels"]:
+        lines += ["", "| kernel | calls | us a call |", "|---|---:|---:|"]
+        for row in record["kernels"]:
+            lines.append(f"| {row['kernel']} | {row['calls']} | {row['us']:.1f} |")
+    return lines
+
+
+def _facts(record: dict[str, Any]) -> list[str]:
+    return [f"* {name}: {value}" for name, value in record.items()]
+
+
+def markdown(found: dict[str, Any]) -> str:
+    """The report in words."""
+    lines = ["# The CUDA backend on this machine", ""]
+    lines += ["| step | status | seconds |", "|---|---|---:|"]
+    for step, result in found.items():
+        lines.append(f"| {step} | {result['status']} | {result.get('seconds', '')} |")
+    for step, result in found.items():
+        record = result.get("record")
+        lines += ["", f"## {step}", ""]
+        if record is not None:
+            describe = {"parity": _parity, "timing": _timing}.get(step, _facts)
+            lines += describe(record)
+        if record is None or result["status"] != "ok":
+            lines += ["```", result.get("last words", "").strip()[-1200:], "```"]
+    return "\n".join(lines) + "\n"
+
+
+def main() -> int:
+    folder = Path(sys.argv[1])
+    found = read(folder)
+    bad = [s for s, r in found.items() if r["status"] in ("failed", "not run")]
+    (folder / "report.json").write_text(json.dumps({"ok": not bad, "steps": found}, indent=1))
+    (folder / "report.md").write_text(markdown(found))
+    print(markdown(found))
+    print("ok" if not bad else f"NOT ok: {', '.join(bad)}")
+    return 1 if bad else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

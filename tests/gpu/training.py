@@ -1,0 +1,143 @@
+"""A whole training on one device, timed and scored on held-out views.
+
+python tests/gpu/training.py --out FILE [--scene DIR] [--device cuda|cpu] [--seconds S] [--side PX]
+                             [--iterations N] [--surfels N]
+
+DIR is a NeRF-synthetic folder (transforms_train.json, transforms_test.json, RGBA images); without
+one a procedural ball is drawn. None of the libraries for other stages is loaded.
+"""
+
+import argparse
+import json
+import math
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parent.parent)]
+import scene as scenery  # noqa: E402
+
+from refdgs_pipe.metrics import psnr  # noqa: E402
+from refdgs_pipe.training.render import render_image  # noqa: E402
+from refdgs_pipe.training.settings import TrainParams  # noqa: E402
+from refdgs_pipe.training.trainer import NEAR, Trainer  # noqa: E402
+
+TEST_VIEWS = 20
+REPEATED_STEPS = 60  # of two short runs that must agree bit for bit
+
+
+def synchronize(device: str) -> None:
+    if device == "cuda":
+        torch.cuda.synchronize()
+
+
+def trained(options: argparse.Namespace, train: list[scenery.View], params: TrainParams) -> Trainer:
+    """A trainer with nothing done yet."""
+    radius = scenery.SYNTHETIC_RADIUS if options.scene else 1.1
+    views, model = scenery.model_of(train, radius)
+    near = NEAR * min(float(np.linalg.norm(c.center)) for c in model.cameras)
+    scratch = Path(tempfile.mkdtemp())
+    photos = scenery.photos_of(train, near)
+    return Trainer(views, model, params, scratch, device=options.device, photos=photos)
+
+
+def step_times(trainer: Trainer, device: str, steps: int) -> float:
+    """Milliseconds of a step at the end of training, by the wall."""
+    synchronize(device)
+    start = time.perf_counter()
+    for _ in range(steps):
+        trainer.step()
+    synchronize(device)
+    return 1e3 * (time.perf_counter() - start) / steps
+
+
+def repeats(options: argparse.Namespace, train: list[scenery.View], params: TrainParams) -> bool:
+    """Whether two short runs end in the same bits."""
+    early = {"start": "ball", "reflect_from": 0.0, "local_from": 0.2, "densify_every": 20}
+    few = {"iterations": REPEATED_STEPS, "surfels": min(params.surfels, 5000)}
+    short = params.model_copy(update={**early, **few})
+    ends = []
+    for _ in range(2):
+        trainer = trained(options, train[:12], short)
+        for _ in range(REPEATED_STEPS):
+            trainer.step()
+        ends.append(trainer.field.state())
+    first, second = ends
+    return all(torch.equal(value, second[name]) for name, value in first.items())
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--scene", type=Path)
+    parser.add_argument("--device", default="cuda")
+    parser.add_argument("--seconds", type=float, default=180.0)
+    parser.add_argument("--side", type=int, default=800)
+    parser.add_argument("--iterations", type=int, default=8000)
+    parser.add_argument("--surfels", type=int, default=20_000)
+    options = parser.parse_args()
+    params = TrainParams(iterations=options.iterations, surfels=options.surfels)
+    if options.device == "cpu":  # where OpenCV shrinks photos
+        params = params.model_copy(update={"coarse_until": 0.0})
+    begin = time.monotonic()
+    if options.scene:
+        train, test = scenery.read_folder(options.scene, options.side, TEST_VIEWS)
+    else:
+        train, test = scenery.procedural(options.side)
+    read_s = time.monotonic() - begin
+    same = repeats(options, train, params)
+    begin = time.monotonic()
+    trainer = trained(options, train, params)
+    start_s, begin = time.monotonic() - begin, time.monotonic()
+    seconds = {}
+    while trainer.iteration < params.iterations and time.monotonic() - begin < options.seconds:
+        trainer.step()
+        if trainer.iteration % 1000 == 0:
+            synchronize(options.device)
+            seconds[trainer.iteration] = round(time.monotonic() - begin, 2)
+            print(f"{trainer.iteration} steps, {seconds[trainer.iteration]} s", flush=True)
+    synchronize(options.device)
+    train_s, steps = time.monotonic() - begin, trainer.iteration
+    trainer._read()
+    field = trainer.field.freeze()
+    figures, times = [], []
+    for camera, pixels in test:
+        start = time.perf_counter()
+        image = render_image(field, camera, device=options.device)
+        times.append(time.perf_counter() - start)
+        alpha = pixels[..., 3:] / 255.0
+        figures.append(psnr(image, pixels[..., :3] / 255.0 * alpha + (1 - alpha)))
+    record: dict[str, Any] = {
+        "ok": bool(same and math.isfinite(trainer.loss) and np.mean(figures) > 15),
+        "same bits in two runs": same,
+        "scene": "procedural ball" if options.scene is None else options.scene.name,
+        "views": [len(train), len(test)],
+        "size": [train[0][0].width, train[0][0].height],
+        "steps": steps,
+        "of steps": params.iterations,
+        "seconds": train_s,
+        "seconds at step": seconds,
+        "ms a step": 1e3 * train_s / max(1, steps),
+        "ms a step at the end": step_times(trainer, options.device, min(50, options.iterations)),
+        "test PSNR": float(np.mean(figures)),
+        "train PSNR": trainer.psnr,
+        "loss": trainer.loss,
+        "ms a rendered view, median": 1e3 * float(np.median(times)),
+        "surfels": {"geometry": len(field.geometry), "local": len(field.local)},
+        "seconds to read": read_s,
+        "seconds to start": start_s,
+    }
+    if options.device == "cuda":
+        record["GPU memory, GB"] = torch.cuda.max_memory_allocated() / 1e9
+    options.out.write_text(json.dumps(record, indent=1))
+    print(json.dumps(record))
+    return 0 if record["ok"] or options.iterations < 1000 else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

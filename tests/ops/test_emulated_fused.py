@@ -1,0 +1,148 @@
+"""The CUDA kernels of the fused operations on the emulated grid, against the CPU's in float64."""
+
+from collections.abc import Callable
+
+import pytest
+import torch
+from emulation import ORDERS, emulated
+from ops import test_image_loss as losses
+from ops import test_mlp as networks
+from ops import test_shade as shades
+from ops import test_sph_mip as mips
+from torch import Tensor
+
+from refdgs_pipe import ops
+
+
+def alike(
+    run: Callable[[], list[Tensor]], order: int = 0, *, exact: float = 1e-9
+) -> tuple[list[Tensor], list[Tensor]]:
+    wanted = run()
+    with emulated(order):
+        found = run()
+    for a, b in zip(found, wanted, strict=True):
+        scale = float(b.abs().max()) if b.numel() else 1.0
+        torch.testing.assert_close(a, b, rtol=exact, atol=exact * scale)
+    return found, wanted
+
+
+def loss_and_gradient(size: tuple[int, int], weighted: bool) -> list[Tensor]:
+    image, target, weight = losses.pair(*size)
+    leaf = image.clone().requires_grad_()
+    loss = ops.image_loss(leaf, target, weight=weight if weighted else None, ssim_share=0.3)
+    (2.5 * loss).backward()
+    return [loss.detach(), leaf.grad, ops.ssim_map(image, target)]
+
+
+@pytest.mark.parametrize("size", [(1, 1), (3, 50), (33, 5), (37, 29)])
+@pytest.mark.parametrize("weighted", [False, True])
+def test_image_loss(size: tuple[int, int], weighted: bool) -> None:
+    alike(lambda: loss_and_gradient(size, weighted))
+
+
+def test_image_loss_reads_any_strides_and_nothing_counts_for_nothing() -> None:
+    image, target, _ = losses.pair(20, 21)
+    planes = image.permute(2, 0, 1).contiguous().permute(1, 2, 0)
+    none = torch.zeros(20, 21, dtype=torch.float64)
+
+    def run() -> list[Tensor]:
+        leaf = planes.clone().requires_grad_()
+        loss = ops.image_loss(leaf[:17, 2:], target[:17, 2:])
+        loss.backward()
+        weightless = ops.image_loss(image, target, weight=none)
+        return [loss.detach(), leaf.grad, weightless, torch.tensor(ops.ssim(image, target))]
+
+    alike(run)
+
+
+@pytest.mark.parametrize("count", [0, 1, 63, 64, 200])
+@pytest.mark.parametrize("cap", [None, 0.5])
+def test_network(count: int, cap: float | None) -> None:
+    x = networks.points(count)
+    alike(lambda: networks.pulled(ops.mlp, x, *networks.network(), exp_cap=cap))
+
+
+@pytest.mark.parametrize(("inputs", "hidden", "outputs"), [(1, 1, 1), (32, 2, 4), (7, 4, 2)])
+def test_network_of_any_shape(inputs: int, hidden: int, outputs: int) -> None:
+    net = networks.network(inputs, hidden, outputs)
+    alike(lambda: networks.pulled(ops.mlp, networks.points(70, inputs), *net))
+
+
+@pytest.mark.parametrize("size", [*mips.SIZES, (64, 128)])
+@pytest.mark.parametrize("count", [1, 300])
+def test_sph_mip_lookups(size: tuple[int, int], count: int) -> None:
+    base, query = mips.random_map(*size), mips.query(count)
+    # the map's gradient is added in whole numbers, each rounded to 2^-42 of the greatest
+    alike(lambda: mips.pulled(ops.sph_mip, base, *query))
+    if min(size) >= 16:
+        alike(lambda: mips.pulled(ops.sph_mip, base, *query, min_level=1.25))
+
+
+def test_sph_mip_passes_on_what_is_not_finite() -> None:
+    base, (directions, roughness) = mips.random_map(8, 16), mips.query(5)
+    leaf = base.clone().requires_grad_()
+    with emulated():
+        (ops.sph_mip(leaf, directions, roughness) * torch.inf).sum().backward()
+    assert bool(leaf.grad.isnan().all())
+
+
+@pytest.mark.parametrize("near", [False, True])
+@pytest.mark.parametrize("behind", [False, True])
+def test_shading(near: bool, behind: bool) -> None:
+    def run() -> list[Tensor]:
+        m = shades.maps(3)
+        image = shades.shade(ops, m, shades.camera(), near, behind)
+        image.backward(torch.linspace(-1, 1, image.numel()).double().reshape(image.shape))
+        return [image.detach(), *(v.grad for v in m.values() if v.grad is not None)]
+
+    alike(run)
+
+
+@pytest.mark.parametrize("edge", [float("inf"), 4.0])
+def test_normal_agreement(edge: float) -> None:
+    def run() -> list[Tensor]:
+        m = shades.maps(4)
+        view = shades.camera()
+        loss = ops.normal_agreement(m["normal"], m["depth"], m["alpha"], view, edge=edge)
+        (3 * loss).backward()
+        return [loss.detach(), m["normal"].grad, m["depth"].grad, m["alpha"].grad]
+
+    alike(run)
+
+
+@pytest.mark.parametrize("order", ORDERS[1:])
+def test_the_order_of_threads_changes_nothing(order: int) -> None:
+    def run() -> list[Tensor]:
+        base, query = mips.random_map(16, 32), mips.query(100)
+        m = shades.maps(4)
+        agreement = ops.normal_agreement(m["normal"], m["depth"], m["alpha"], shades.camera())
+        return [
+            *loss_and_gradient((20, 18), True),
+            *networks.pulled(ops.mlp, networks.points(70), *networks.network()),
+            *mips.pulled(ops.sph_mip, base, *query),
+            agreement.detach(),
+        ]
+
+    with emulated():
+        wanted = run()
+    with emulated(order):
+        found = run()
+    for a, b in zip(found, wanted, strict=True):
+        assert torch.equal(a, b)
+
+
+def test_floats_are_as_exact_as_the_cpu() -> None:
+    def run() -> list[Tensor]:
+        image, target, _ = losses.pair(40, 30)
+        leaf = image.float().requires_grad_()
+        ops.image_loss(leaf, target.float()).backward()
+        base = mips.random_map(32, 64).float()
+        query = [t.float() for t in mips.query(200)]
+        net = networks.single(networks.points(150), networks.network())
+        return [
+            leaf.grad,
+            *networks.pulled(ops.mlp, *net),
+            *mips.pulled(ops.sph_mip, base, *query)[:2],
+        ]
+
+    alike(run, exact=1e-4)

@@ -1,0 +1,121 @@
+"""The CUDA rasteriser on the emulated grid against the CPU's."""
+
+from collections.abc import Callable
+
+import pytest
+import torch
+from emulation import ORDERS, emulated
+from ops.test_rasterize import MAPS, camera, gradients, hard_cases, leaves, many_thin, scene
+from torch import Tensor
+
+from refdgs_pipe.ops import Pinhole, Surfels, rasterize
+
+Made = tuple[Surfels, Tensor]
+
+
+def crowd() -> Made:
+    """Several batches of 32 in a tile, and pixels that fill up within the first."""
+    surfels, features = scene(400, seed=4)
+    opacities = 0.3 + 0.69 * surfels.opacities
+    return Surfels(surfels.means * 0.4, surfels.quats, surfels.scales, opacities), features
+
+
+def both(make: Callable[[], Made], view: Pinhole, order: int = 0) -> None:
+    surfels, features = make()
+    wanted_maps = rasterize(surfels, features, view, extra="distortion", normals=True)
+    wanted = gradients(rasterize, surfels, features, view)
+    with emulated(order):
+        maps = rasterize(surfels, features, view, extra="distortion", normals=True)
+        found = gradients(rasterize, surfels, features, view)
+    for name in MAPS:
+        torch.testing.assert_close(
+            getattr(maps, name), getattr(wanted_maps, name), rtol=1e-10, atol=1e-10
+        )
+    assert torch.equal(maps.statistics.radii, wanted_maps.statistics.radii)
+    for name, value in wanted.items():
+        scale = float(value.abs().max())
+        torch.testing.assert_close(found[name], value, rtol=1e-8, atol=1e-10 * scale)
+
+
+@pytest.mark.parametrize("make", [scene, hard_cases, many_thin, crowd])
+def test_double_maps_and_gradients_equal_the_cpu(make: Callable[[], Made]) -> None:
+    both(make, camera())
+
+
+@pytest.mark.parametrize("size", [(1, 1), (16, 16), (17, 31), (130, 9)])
+def test_any_size_of_image_is_drawn(size: tuple[int, int]) -> None:
+    both(many_thin, camera(*size))
+
+
+@pytest.mark.parametrize("order", ORDERS[1:])
+def test_the_order_of_threads_changes_nothing(order: int) -> None:
+    both(crowd, camera(), order)
+
+
+@pytest.mark.parametrize("channels", [1, 4, 9, 13, 17])
+@pytest.mark.parametrize("extra", ["none", "depth", "distortion"])
+def test_every_number_of_channels_and_kind_of_map(channels: int, extra: str) -> None:
+    surfels, features = scene(60, channels, seed=channels)
+    view = camera(20, 18)
+    results = []
+    for run in (False, True):
+        s, f, v = leaves(surfels, features, view)
+        if run:
+            with emulated():
+                maps = rasterize(s, f, v, extra=extra, normals=channels != 4)
+                (maps.features.sin().sum() + maps.alpha.sum()).backward()
+        else:
+            maps = rasterize(s, f, v, extra=extra, normals=channels != 4)
+            (maps.features.sin().sum() + maps.alpha.sum()).backward()
+        pose = v.cam_from_world.grad
+        results.append(
+            [maps.features, s.means.grad, s.opacities.grad, f.grad, pose, maps.statistics.gradients]
+        )
+    for wanted, found in zip(*results, strict=True):
+        torch.testing.assert_close(found, wanted, rtol=1e-8, atol=1e-9)
+
+
+def test_more_surfels_than_a_block_and_boxes_of_many_tiles() -> None:
+    """Large boxes are walked by warps, small ones by threads; slots keep the surfels' order."""
+
+    def make() -> Made:
+        surfels, features = scene(700, seed=6)
+        scales = surfels.scales * 0.2
+        scales[::90] = 2.0
+        return Surfels(surfels.means, surfels.quats, scales, surfels.opacities * 0.3), features
+
+    both(make, camera(150, 120))
+
+
+def test_nothing_to_draw() -> None:
+    for n, shift in ((0, 0.0), (1, -1e3), (3, 0.0)):
+        surfels, features = scene(n)
+        opacities = surfels.opacities * (0 if n == 3 else 1)
+        s, f, v = leaves(
+            Surfels(surfels.means + shift, surfels.quats, surfels.scales, opacities),
+            features,
+            camera(),
+        )
+        with emulated():
+            maps = rasterize(s, f, v, extra="distortion", normals=True)
+            (maps.alpha.sum() + maps.distortion.sum()).backward()
+        assert float(maps.alpha.detach().abs().max()) == 0
+        assert s.means.grad.shape == (n, 3) and not bool(s.means.grad.any())
+        assert not bool(v.cam_from_world.grad.any())
+
+
+def test_float_is_as_exact_as_the_cpu_and_the_same_every_time() -> None:
+    surfels, features = scene(300, seed=8, dtype=torch.float32)
+    view = camera(64, 48, torch.float32)
+    exact = gradients(rasterize, *scene(300, seed=8), camera(64, 48))
+    ours = gradients(rasterize, surfels, features, view)
+    with emulated():
+        first = gradients(rasterize, surfels, features, view)
+    with emulated(7):
+        second = gradients(rasterize, surfels, features, view)
+    for name, value in exact.items():
+        assert torch.equal(first[name], second[name]), name
+        error, usual = (
+            float((value - g[name].double()).norm() / value.norm()) for g in (first, ours)
+        )
+        assert error < 2 * usual + 1e-5, (name, error, usual)

@@ -1,0 +1,92 @@
+"""Planning for a GPU's memory, and what happens when it runs out."""
+
+import numpy as np
+import pytest
+import torch
+
+from refdgs_pipe.artifacts.sparse_model import Ball, SparseModel
+from refdgs_pipe.camera import Camera
+from refdgs_pipe.errors import DeviceError
+from refdgs_pipe.training import budget
+from refdgs_pipe.training.settings import TrainParams
+
+PARAMS = TrainParams()
+
+
+def model_of(width: int, height: int, count: int = 100) -> SparseModel:
+    K = np.array([[width, 0, width / 2], [0, width, height / 2], [0, 0, 1.0]])
+    cameras = tuple(Camera(f"v{i}", width, height, K, np.eye(4), "train") for i in range(count))
+    ball, up = Ball(np.zeros(3), 1.0), np.array([0.0, 0, 1])
+    none = np.zeros((0, 3))
+    return SparseModel(cameras, {}, none, none.astype(np.uint8), {}, ball, up, np.eye(4), None, ())
+
+
+def test_more_pixels_and_surfels_need_more() -> None:
+    small, large = model_of(400, 300), model_of(800, 600)
+    assert budget.need_of(PARAMS, small).pixels < budget.need_of(PARAMS, large).pixels
+    more = PARAMS.model_copy(update={"max_surfels": 2 * PARAMS.max_surfels})
+    assert budget.need_of(PARAMS, small).surfels < budget.need_of(more, small).surfels
+
+
+def test_settings_that_fit_stay_as_they_are() -> None:
+    assert budget.fitted(PARAMS, model_of(800, 800), 8 * 10**9) == PARAMS
+
+
+def test_what_takes_more_is_lowered_first() -> None:
+    model = model_of(800, 800)
+    many = PARAMS.model_copy(update={"max_surfels": 2_000_000})
+    fitting = budget.fitted(many, model, 3 * 10**9)
+    assert fitting.max_side == many.max_side and fitting.max_surfels < 10**6
+    assert budget.need_of(fitting, model).total <= 3 * 10**9
+    wide = model_of(8000, 6000, 400)
+    sharp = PARAMS.model_copy(update={"max_side": 8000})
+    fitting = budget.fitted(sharp, wide, 8 * 10**9)
+    assert fitting.max_side < 8000 and fitting.max_surfels == sharp.max_surfels
+
+
+def test_a_budget_below_the_least_is_an_error_that_says_what_to_do() -> None:
+    with pytest.raises(DeviceError, match=r"may use 0\.5 GB: give more by --vram"):
+        budget.fitted(PARAMS, model_of(800, 800), 500_000_000)
+
+
+def test_the_limit_and_the_free_memory_both_hold(monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[str] = []
+    free = 100 * 10**9
+    monkeypatch.setattr(torch.cuda, "mem_get_info", lambda: (free, free))
+    many = PARAMS.model_copy(update={"max_surfels": 2_000_000})
+    model = model_of(800, 800)
+    assert budget.planned(many, model, vram=0, warn=said.append) == many and not said
+    limited = budget.planned(many, model, vram=2 * 10**9, warn=said.append)
+    assert budget.need_of(limited, model).total <= 2 * 10**9
+    assert said[0].startswith("2.0 GB of GPU memory: ")
+    free = 2 * 10**9
+    assert budget.planned(many, model, vram=50 * 10**9, warn=said.append).max_surfels < 10**6
+
+
+class Hungry:
+    """Runs out of memory until an image is small enough."""
+
+    def __init__(self, params: TrainParams) -> None:
+        self.params = params
+
+    def run(self, progress: object) -> str:
+        if self.params.max_side > 600 or self.params.max_surfels > 50_000:
+            raise torch.cuda.OutOfMemoryError("no more")
+        return "field"
+
+
+def test_running_out_of_memory_lowers_settings_and_says_so() -> None:
+    said: list[str] = []
+    trainer, field = budget.train_within(Hungry, PARAMS, print, said.append)  # type: ignore
+    assert field == "field" and trainer.params.max_side <= 600
+    assert said[0] == "the GPU's memory ran out: training at 578 instead of 800 pixels"
+    assert "instead of 60000 surfels" in said[1]
+
+
+def test_running_out_for_good_is_an_error() -> None:
+    class Starving(Hungry):
+        def run(self, progress: object) -> str:
+            raise torch.cuda.OutOfMemoryError("no more")
+
+    with pytest.raises(DeviceError, match="runs out even at"):
+        budget.train_within(Starving, PARAMS, print, lambda text: None)  # type: ignore

@@ -1,0 +1,98 @@
+"""The checks for a GPU machine run here as far as they can: dry, and without what is not there."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from scenes import glossy_pair, orbit
+
+ROOT = Path(__file__).parent.parent.parent
+CHECKS = ROOT / "tests" / "gpu"
+ABSENT = ("open3d", "pycolmap", "pymeshlab", "rawpy", "xatlas", "pxr", "cv2", "exifread")
+REFUSE = f"""
+import sys
+
+
+class Refuse:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {ABSENT!r}:
+            raise ModuleNotFoundError(f"{{name}} is not on a GPU machine", name=name)
+
+
+sys.meta_path.insert(0, Refuse())
+"""
+
+
+def run(script: str, *arguments: str, paths: tuple[Path, ...] = ()) -> None:
+    known = [path for path in sys.path if path]
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join([*(str(path) for path in paths), str(ROOT), *known]),
+        "OMP_NUM_THREADS": "1",
+    }
+    command = [sys.executable, str(CHECKS / script), *arguments]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def synthetic_folder(folder: Path) -> None:
+    """A scene as NeRF-synthetic has them."""
+    scene, size = glossy_pair(), 32
+    for split, cameras in (
+        ("train", orbit(6, size=size, focal=45.0)),
+        ("test", orbit(2, size=size, focal=45.0)),
+    ):
+        (folder / split).mkdir(parents=True)
+        frames = []
+        for i, camera in enumerate(cameras):
+            maps = scene.surface_map(camera)
+            rgba = np.concatenate([maps.color, maps.alpha[..., None]], -1)
+            name = f"{split}/r_{i}"
+            Image.fromarray(np.round(rgba * 255).astype(np.uint8)).save(folder / f"{name}.png")
+            pose = camera.world_from_cam.copy()
+            pose[:3, 1:3] *= -1
+            frames.append({"file_path": f"./{name}", "transform_matrix": pose.tolist()})
+        angle = 2 * np.arctan(size / 2 / 45.0)
+        record = {"camera_angle_x": float(angle), "frames": frames}
+        (folder / f"transforms_{split}.json").write_text(json.dumps(record))
+
+
+def test_a_training_needs_none_of_the_libraries_that_a_gpu_machine_lacks(tmp_path: Path) -> None:
+    (tmp_path / "refuse").mkdir()
+    (tmp_path / "refuse" / "sitecustomize.py").write_text(REFUSE)
+    synthetic_folder(tmp_path / "scene")
+    out = tmp_path / "training.json"
+    where = ["--scene", str(tmp_path / "scene"), "--device", "cpu", "--out", str(out)]
+    few = ["--iterations", "4", "--surfels", "200", "--side", "32"]
+    run("training.py", *where, *few, paths=(tmp_path / "refuse",))
+    record = json.loads(out.read_text())
+    assert record["steps"] == 4 and record["views"] == [6, 2]
+    assert record["same bits in two runs"] and record["test PSNR"] > 5
+
+
+def test_parity_and_timing_run_dry(tmp_path: Path) -> None:
+    pytest.importorskip("_refdgs_emulated")
+    for name in ("parity", "timing"):
+        run(
+            f"{name}.py", "--device", "emulated", "--small", "--out", str(tmp_path / f"{name}.json")
+        )
+        (tmp_path / f"{name}.status").write_text("0 1")
+    record = json.loads((tmp_path / "parity.json").read_text())
+    assert record["ok"] and len(record["rows"]) > 150
+    done = subprocess.run(
+        [sys.executable, str(CHECKS / "report.py"), str(tmp_path)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 1 and "NOT ok: build, doctor, training" in done.stdout
+    assert "| edge-on | 12 |" in (tmp_path / "report.md").read_text()
+
+
+def test_the_script_is_sound() -> None:
+    assert subprocess.run(["bash", "-n", str(CHECKS / "run_all.sh")], check=False).returncode == 0
