@@ -17,8 +17,6 @@ from refdgs_pipe.training.carving import boundary, empty_cells
 F32 = NDArray[np.float32]
 
 HULL_CELLS = 96  # along the ball's diameter
-import os
-NEED = float(os.environ.get("NEED","0.5"))
 SKY_SURFELS = 4000
 SKY_DISTANCE = 8.0  # of the farthest camera from the ball, in their distance
 
@@ -81,7 +79,7 @@ def carved(hull: Hull, cameras: list[Camera], pictures: list[Tensor], masks: lis
     """The hull without the hollows that the photos (3, H, W) show; see `empty_cells`."""
     left = hull.cells & ~empty_cells(hull.cells, hull.axes(), cameras, pictures, masks)
     kept, known = (uniform_filter(c.astype(np.float32), 3) for c in (left, hull.cells))
-    if NEED>0: left = hull.cells & (kept >= NEED * known)  # a majority of the neighbours in the hull: no crumbs
+    left = hull.cells & (kept >= 0.5 * known)  # a majority of the neighbours in the hull: no crumbs
     return replace(hull, cells=left) if left.sum() >= 50 else hull
 
 

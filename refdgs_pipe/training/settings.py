@@ -10,7 +10,7 @@ from refdgs_pipe.params import Params
 class TrainParams(Params):
     """Ref-DGS training. Defaults are the `glossy` recipe."""
 
-    iterations: int = Field(8000, ge=1, le=200_000, description="optimiser steps")
+    iterations: int = Field(5000, ge=1, le=200_000, description="optimiser steps")
     max_side: int = Field(
         800, ge=32, le=8192, description="longest image side trained on, in pixels"
     )
@@ -18,7 +18,7 @@ class TrainParams(Params):
         0.5, gt=0, le=1, description="image scale at the start of the run; 1 = full size throughout"
     )
     coarse_until: float = Field(
-        0.2, ge=0, le=1, description="fraction of the run trained at the coarse scale"
+        0.45, ge=0, le=1, description="fraction of the run trained at the coarse scale"
     )
     seed: int = Field(0, ge=0, description="of all random choices")
 
@@ -32,10 +32,10 @@ class TrainParams(Params):
     )
     physical: bool = Field(True, description="the shader also sees roughness and cos(normal, view)")
     local_from: float = Field(
-        0.5, ge=0, le=1, description="fraction of the run after which near-field features join"
+        0.25, ge=0, le=1, description="fraction of the run after which near-field features join"
     )
     reflect_from: float = Field(
-        0.45,
+        0.15,
         ge=0,
         le=1,
         description="fraction of the run after which reflections join, where there are masks",
@@ -56,7 +56,7 @@ class TrainParams(Params):
     )
 
     surfels: int = Field(20_000, ge=100, le=2_000_000, description="geometry surfels at the start")
-    max_surfels: int = Field(60_000, ge=100, le=5_000_000, description="geometry surfels at most")
+    max_surfels: int = Field(40_000, ge=100, le=5_000_000, description="geometry surfels at most")
     local_surfels: int = Field(
         8_000, ge=100, le=2_000_000, description="local reflection surfels at the start"
     )
@@ -87,7 +87,7 @@ class TrainParams(Params):
     )
 
     rate_means: float = Field(
-        6e-4, gt=0, le=1, description="initial step of centres, in scene extents; ends at 1/100"
+        1e-3, gt=0, le=1, description="initial step of centres, in scene extents; ends at 1/100"
     )
     rate_opacities: float = Field(0.05, gt=0, le=1, description="step of raw opacities")
     rate_scales: float = Field(0.005, gt=0, le=1, description="step of log scales")
@@ -99,7 +99,7 @@ class TrainParams(Params):
     rate_shader: float = Field(5e-4, gt=0, le=1, description="step of the shader's weights")
 
     anneal_from: float = Field(
-        1.0, ge=0, le=1, description="fraction of the run from which steps shrink"
+        0.7, ge=0, le=1, description="fraction of the run from which steps shrink"
     )
     anneal_to: float = Field(0.1, gt=0, le=1, description="share of the steps left at the end")
 
@@ -111,7 +111,7 @@ class TrainParams(Params):
         0.2, ge=0, le=10, description="weight of the agreement of normals with depth"
     )
     normal_edge: float = Field(
-        1000.0,
+        5.0,
         gt=0,
         le=1e6,
         description="normals need not agree where the depth bends by more pixel footprints",

@@ -8,6 +8,7 @@ import math
 import statistics
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import pytest
 import torch
@@ -50,7 +51,7 @@ def core_ms(work: Callable[[], object], rounds: int = ROUNDS) -> float:
 
 def compare(name: str, ours: Callable[[], object], stock: Callable[[], object]) -> None:
     fast, slow = core_ms(ours), core_ms(stock)
-    print(f"\n{name:44s} ours {fast:8.2f}   torch {slow:8.2f}   {slow / fast:6.1f}x", end="")
+    print(f"\n{name:60s} ours {fast:8.2f}   torch {slow:8.2f}   {slow / fast:6.1f}x", end="")
 
 
 def with_backward(loss_of: Callable[..., Tensor], *leaves: Tensor) -> Callable[[], object]:
@@ -141,11 +142,12 @@ def test_mlp(count: int) -> None:
         return lambda *t: (run(t[0], t[1:5], t[5:], exp_cap=5.0) * pull).sum()
 
     leaves = (x, *weights, *biases)
-    compare(
-        f"MLP 10-64-64-64-3, {count} points",
-        with_backward(loss_of(mlp), *leaves),
-        with_backward(loss_of(reference_mlp.mlp), *leaves),
-    )
+    for name, run in (("float", mlp), ("bfloat16 where the CPU can", partial(mlp, half=True))):
+        compare(
+            f"MLP 10-64-64-64-3, {count} points, {name}",
+            with_backward(loss_of(run), *leaves),
+            with_backward(loss_of(reference_mlp.mlp), *leaves),
+        )
 
 
 @pytest.mark.parametrize("size", [400, 800])
