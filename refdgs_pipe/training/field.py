@@ -57,6 +57,9 @@ class TrainableField:
         self.extent = 1.1 * float(np.linalg.norm(centers - centers.mean(0), axis=1).max())
         if len(cameras) == 1 or self.extent <= 0:
             self.extent = float(np.linalg.norm(centers[0] - model.ball.center))
+        most = params.surfels_per_pixel * _covered_pixels(model, photos, masked=masked)
+        self.most = max(params.surfels, min(params.max_surfels, round(most)))
+        self.most_local = max(params.local_surfels, min(params.max_local_surfels, round(most / 2)))
         rng = np.random.default_rng(params.seed)
         self.rates = self._rates()
         self.geometry = self._set(self._geometry(model, photos, masked, rng))
@@ -211,14 +214,14 @@ class TrainableField:
             return
         size = p.split_size * self.extent
         rules = DensityRules(
-            p.densify_gradient, size, LARGEST * self.extent, p.prune_opacity, p.max_surfels
+            p.densify_gradient, size, LARGEST * self.extent, p.prune_opacity, self.most
         )
         densify(self.geometry, rules, self._inside(self.geometry.raw["means"].detach()), rng)
         if self.local is not None and iteration > p.local_from * p.iterations + p.densify_every:
             near = self._inside(self.local.raw["means"].detach(), 4.0)
             opacity = p.local_prune_opacity
             local = DensityRules(
-                p.densify_gradient, size, LARGEST * self.extent, opacity, p.max_local_surfels
+                p.densify_gradient, size, LARGEST * self.extent, opacity, self.most_local
             )
             densify(self.local, local, near, rng)
         if self.background is not None:
@@ -284,6 +287,20 @@ class TrainableField:
         local = nothing if self.local is None else self.local.freeze()
         background = nothing if self.background is None else self.background.freeze()
         return SurfelField(self.geometry.freeze(), local, background, model, self.near)
+
+
+def _covered_pixels(model: SparseModel, photos: list[TrainingPhoto], *, masked: bool) -> float:
+    """Pixels of the object in the mean photo; without masks, half of the ball's disc."""
+    masks = [photo.mask for photo in photos if photo.mask is not None]
+    if masked and masks:
+        return float(np.mean([float((mask > 127).sum()) for mask in masks]))
+    discs = []
+    for photo in photos:
+        distance = float(np.linalg.norm(photo.camera.center - model.ball.center))
+        radius = float(photo.camera.K[0, 0]) * model.ball.radius / distance
+        pixels = photo.camera.width * photo.camera.height
+        discs.append(min(math.pi * radius**2, pixels) / 2)
+    return float(np.mean(discs))
 
 
 def _hull_cloud(

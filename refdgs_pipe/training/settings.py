@@ -56,9 +56,16 @@ class TrainParams(Params):
     )
 
     surfels: int = Field(20_000, ge=100, le=2_000_000, description="geometry surfels at the start")
-    max_surfels: int = Field(40_000, ge=100, le=5_000_000, description="geometry surfels at most")
+    max_surfels: int = Field(60_000, ge=100, le=5_000_000, description="geometry surfels at most")
+    surfels_per_pixel: float = Field(
+        0.67,
+        gt=0,
+        le=100,
+        description="geometry surfels at most, and twice the local ones, for each pixel that the "
+        "object covers in the mean photo",
+    )
     local_surfels: int = Field(
-        8_000, ge=100, le=2_000_000, description="local reflection surfels at the start"
+        6_000, ge=100, le=2_000_000, description="local reflection surfels at the start"
     )
     max_local_surfels: int = Field(
         20_000, ge=100, le=5_000_000, description="local reflection surfels at most"
@@ -94,14 +101,14 @@ class TrainParams(Params):
     rate_quats: float = Field(0.001, gt=0, le=1, description="step of quaternions")
     rate_diffuse: float = Field(0.02, gt=0, le=1, description="step of raw diffuse colour")
     rate_roughness: float = Field(0.002, gt=0, le=1, description="step of raw roughness")
-    rate_features: float = Field(0.002, gt=0, le=1, description="step of local features")
-    rate_environment: float = Field(0.002, gt=0, le=1, description="step of the Sph-Mip map")
-    rate_shader: float = Field(5e-4, gt=0, le=1, description="step of the shader's weights")
+    rate_features: float = Field(0.006, gt=0, le=1, description="step of local features")
+    rate_environment: float = Field(0.006, gt=0, le=1, description="step of the Sph-Mip map")
+    rate_shader: float = Field(1.5e-3, gt=0, le=1, description="step of the shader's weights")
 
     anneal_from: float = Field(
-        0.7, ge=0, le=1, description="fraction of the run from which steps shrink"
+        0.6, ge=0, le=1, description="fraction of the run from which steps shrink"
     )
-    anneal_to: float = Field(0.1, gt=0, le=1, description="share of the steps left at the end")
+    anneal_to: float = Field(0.05, gt=0, le=1, description="share of the steps left at the end")
 
     ssim_share: float = Field(0.2, ge=0, le=1, description="share of 1 - SSIM in the image loss")
     mask_weight: float = Field(
