@@ -54,15 +54,3 @@ def processors(like: Tensor) -> int:
 def memory(size: int, like: Tensor) -> Tensor:
     """(size,) bytes with unknown content where `like` is; torch keeps them for the next call."""
     return torch.empty(size, dtype=torch.uint8, device=like.device)
-
-
-def image(tensor: Tensor | None) -> tuple[int, list[int]]:
-    """Address and strides (row, column, channel) of (H, W) or (H, W, C); None is address 0."""
-    if tensor is None:
-        return 0, [0, 0, 0]
-    return tensor.data_ptr(), [*tensor.stride(), 0][:3]
-
-
-def table(tensor: Tensor) -> tuple[int, list[int]]:
-    """Address and strides (row, column) of (P,) or (P, C)."""
-    return tensor.data_ptr(), [*tensor.stride(), 0][:2]

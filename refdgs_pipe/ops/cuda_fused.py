@@ -6,7 +6,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from refdgs_pipe.ops import cuda
+from refdgs_pipe.ops import addresses, cuda
 
 LOSS_TILE = 16  # pixels along the edge of a block's tile
 MLP_POINTS, MLP_HIDDEN = 64, 64  # points of a block's tile; width of hidden layers
@@ -42,7 +42,7 @@ def compare(
     outputs += [0 if t is None else t.data_ptr() for t in (gradient, ssim)]
     cuda.kernels("image_loss", image)(
         list(image.shape),
-        [cuda.image(image), cuda.image(target)],
+        [addresses.image(image), addresses.image(target)],
         [0 if weight is None else weight.data_ptr(), each.data_ptr()],
         list(shares),
         [*outputs, parts.data_ptr(), sums.data_ptr(), 0 if loss is None else loss.data_ptr()],

@@ -5,10 +5,18 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from refdgs_pipe.ops import cuda
-from refdgs_pipe.ops.rasterize import Extra, Maps, Pinhole, ScreenStatistics, Surfels, planes_of
+from refdgs_pipe.ops import addresses, cuda
+from refdgs_pipe.ops.rasterize import (
+    EXTRAS,
+    Extra,
+    Maps,
+    Pinhole,
+    ScreenStatistics,
+    Surfels,
+    maps_of,
+    planes_of,
+)
 
-_EXTRA = {"none": 0, "depth": 1, "distortion": 2}
 GRAD_HEAD = 12  # of a slot, before its channels
 POSE_BLOCK = 128  # surfels whose pose gradients are added first
 
@@ -17,7 +25,7 @@ def draw(surfels: Surfels, features: Tensor, camera: Pinhole, extra: Extra, norm
     """Rasterise on the GPU; inputs are checked by `rasterize`."""
     n = len(features)
     statistics = ScreenStatistics(features.new_zeros(n), features.new_zeros(n, 2))
-    blended, alpha, normal, depth, median, distortion = _Rasterize.apply(  # type: ignore[no-untyped-call]
+    parts = _Rasterize.apply(  # type: ignore[no-untyped-call]
         surfels.means,
         surfels.quats,
         surfels.scales,
@@ -29,15 +37,7 @@ def draw(surfels: Surfels, features: Tensor, camera: Pinhole, extra: Extra, norm
         normals,
         statistics,
     )
-    return Maps(
-        features=blended,
-        alpha=alpha,
-        normal=normal if normals else None,
-        depth=depth if extra != "none" else None,
-        median_depth=median if extra != "none" else None,
-        distortion=distortion if extra == "distortion" else None,
-        statistics=statistics,
-    )
+    return maps_of(parts, statistics, extra, normals)
 
 
 def _numbers(camera: Pinhole) -> list[float]:
@@ -59,7 +59,7 @@ class _Rasterize(torch.autograd.Function):
         like = inputs[0]
         n, channels = inputs[4].shape
         padded, count = planes_of(channels, extra, normals)
-        shape = [n, channels, camera.width, camera.height, _EXTRA[extra], int(normals), 0]
+        shape = [n, channels, camera.width, camera.height, EXTRAS[extra], int(normals), 0]
         addresses, numbers = [t.data_ptr() for t in inputs], _numbers(camera)
 
         sizes = cuda.kernels("raster_sizes", like)(shape)
@@ -119,7 +119,7 @@ class _Rasterize(torch.autograd.Function):
             by_entry.data_ptr(),
             planes.data_ptr(),
             moments.data_ptr(),
-            [cuda.image(v) for v in grads],
+            [addresses.image(v) for v in grads],
             [*(t.data_ptr() for t in working), parts.data_ptr() if wanted else 0],
             [t.data_ptr() for t in (*out, v_pose, ctx.statistics.gradients)],
         )

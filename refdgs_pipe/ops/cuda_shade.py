@@ -5,16 +5,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from refdgs_pipe.ops import cuda
+from refdgs_pipe.ops import addresses, cuda
 from refdgs_pipe.ops.rasterize import Pinhole
 
 AGREEMENT_BLOCK = 256  # pixels whose part of the sum is one
-
-
-def numbers_of(camera: Pinhole) -> list[float]:
-    """Lens and the rotation from the camera to the world."""
-    rotation = camera.cam_from_world[:3, :3].detach().double().T.flatten().tolist()
-    return [camera.fx, camera.fy, camera.cx, camera.cy, *rotation]
 
 
 class ShadingInputs(torch.autograd.Function):
@@ -35,9 +29,16 @@ class ShadingInputs(torch.autograd.Function):
         diffuse, roughness, reflected, cosine = planes
         out = [diffuse.T, roughness[0], reflected.T, cosine[0]]
         out.append(features.new_empty(count, 4 if near is not None else 0))
-        images = [cuda.image(t) for t in (features, alpha, normal, near)]
-        head = ([*alpha.shape], numbers_of(camera), count, pixels.data_ptr(), channels, images)
-        cuda.kernels("shading_inputs", alpha)(*head, [cuda.table(t) for t in out])
+        images = [addresses.image(t) for t in (features, alpha, normal, near)]
+        head = (
+            [*alpha.shape],
+            addresses.lens_and_rotation(camera),
+            count,
+            pixels.data_ptr(),
+            channels,
+            images,
+        )
+        cuda.kernels("shading_inputs", alpha)(*head, [addresses.table(t) for t in out])
         ctx.save_for_backward(features, alpha, normal, near, pixels)
         ctx.head = head
         return tuple(out)
@@ -48,7 +49,7 @@ class ShadingInputs(torch.autograd.Function):
         widths = (features.shape[2], 1, 3, 4 if near is not None else 0)
         grads = [alpha.new_zeros(width, *alpha.shape) for width in widths]
         cuda.kernels("shading_inputs_bwd", alpha)(
-            *ctx.head, [cuda.table(t) for t in v], [t.data_ptr() for t in grads]
+            *ctx.head, [addresses.table(t) for t in v], [t.data_ptr() for t in grads]
         )
         v_features, v_alpha, v_normal, v_near = (g.permute(1, 2, 0) for g in grads)
         last = v_near if near is not None else None
@@ -71,8 +72,8 @@ class Composite(torch.autograd.Function):
     ) -> Tensor:
         backdrop = backdrop.to(alpha).contiguous()
         planes = alpha.new_empty(3, *alpha.shape)
-        tables = [cuda.table(t) for t in (diffuse, radiance)]
-        images = [cuda.image(t) for t in (object_alpha, alpha, behind)]
+        tables = [addresses.table(t) for t in (diffuse, radiance)]
+        images = [addresses.image(t) for t in (object_alpha, alpha, behind)]
         head = ([*alpha.shape], len(pixels), pixels.data_ptr(), tables, images, backdrop.data_ptr())
         cuda.kernels("composite", alpha)(*head, planes.data_ptr())
         ctx.save_for_backward(diffuse, radiance, pixels, object_alpha, alpha, behind, backdrop)
@@ -85,7 +86,7 @@ class Composite(torch.autograd.Function):
         linear = radiance.new_empty(3, len(radiance))
         v_object, v_alpha = alpha.new_empty(alpha.shape), alpha.new_empty(alpha.shape)
         cuda.kernels("composite_bwd", alpha)(
-            *ctx.head, [cuda.image(v[0])], [t.data_ptr() for t in (linear, v_object, v_alpha)]
+            *ctx.head, [addresses.image(v[0])], [t.data_ptr() for t in (linear, v_object, v_alpha)]
         )
         v_behind = None if behind is None else v[0]
         return linear.T, linear.T, None, v_object, v_alpha, None, v_behind
@@ -107,8 +108,8 @@ class NormalAgreement(torch.autograd.Function):
         parts, total = cuda.memory(blocks * alpha.itemsize, alpha), alpha.new_empty(1)
         cuda.kernels("normal_agreement", alpha)(
             [height, width],
-            numbers_of(camera),
-            [cuda.image(t) for t in (normal, depth, alpha)],
+            addresses.lens_and_rotation(camera),
+            [addresses.image(t) for t in (normal, depth, alpha)],
             scale,
             edge,
             [t.data_ptr() for t in grads] or [0] * 4,

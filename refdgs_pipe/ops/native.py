@@ -6,9 +6,17 @@ import _refdgs_native as native
 import torch
 from torch import Tensor
 
-from refdgs_pipe.ops.rasterize import Extra, Maps, Pinhole, ScreenStatistics, Surfels, planes_of
+from refdgs_pipe.ops.rasterize import (
+    EXTRAS,
+    Extra,
+    Maps,
+    Pinhole,
+    ScreenStatistics,
+    Surfels,
+    maps_of,
+    planes_of,
+)
 
-_EXTRA = {"none": 0, "depth": 1, "distortion": 2}
 _idle: dict[torch.dtype, list[Any]] = {torch.float32: [], torch.float64: []}
 
 
@@ -33,7 +41,7 @@ def draw(
     """Rasterise on the CPU; inputs are checked by `rasterize`."""
     n = len(features)
     statistics = ScreenStatistics(features.new_zeros(n), features.new_zeros(n, 2))
-    blended, alpha, normal, depth, median, distortion = _Rasterize.apply(  # type: ignore[no-untyped-call]
+    parts = _Rasterize.apply(  # type: ignore[no-untyped-call]
         surfels.means,
         surfels.quats,
         surfels.scales,
@@ -46,15 +54,7 @@ def draw(
         threads,
         statistics,
     )
-    return Maps(
-        features=blended,
-        alpha=alpha,
-        normal=normal if normals else None,
-        depth=depth if extra != "none" else None,
-        median_depth=median if extra != "none" else None,
-        distortion=distortion if extra == "distortion" else None,
-        statistics=statistics,
-    )
+    return maps_of(parts, statistics, extra, normals)
 
 
 class _Frame:
@@ -88,7 +88,7 @@ class _Rasterize(torch.autograd.Function):
             numbers,
             camera.width,
             camera.height,
-            _EXTRA[extra],
+            EXTRAS[extra],
             normals,
             threads,
             planes.data_ptr(),

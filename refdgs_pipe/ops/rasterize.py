@@ -13,6 +13,7 @@ from refdgs_pipe.errors import ShapeError
 from refdgs_pipe.ops import cuda
 
 Extra = Literal["none", "depth", "distortion"]
+EXTRAS = {"none": 0, "depth": 1, "distortion": 2}  # as the native functions number them
 MAX_CHANNELS = 20
 
 
@@ -99,6 +100,22 @@ class Maps:
     median_depth: Tensor | None
     distortion: Tensor | None
     statistics: ScreenStatistics = field(repr=False)
+
+
+def maps_of(
+    parts: tuple[Tensor, ...], statistics: ScreenStatistics, extra: Extra, normals: bool
+) -> Maps:
+    """From features, alpha, normal, depth, median and distortion; those not asked for are None."""
+    blended, alpha, normal, depth, median, distortion = parts
+    return Maps(
+        features=blended,
+        alpha=alpha,
+        normal=normal if normals else None,
+        depth=depth if extra != "none" else None,
+        median_depth=median if extra != "none" else None,
+        distortion=distortion if extra == "distortion" else None,
+        statistics=statistics,
+    )
 
 
 def planes_of(channels: int, extra: Extra, normals: bool) -> tuple[int, int]:

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from refdgs_pipe.errors import ShapeError
-from refdgs_pipe.ops import cuda, cuda_shade
+from refdgs_pipe.ops import addresses, cuda, cuda_shade
 from refdgs_pipe.ops.checks import check_alike
 from refdgs_pipe.ops.rasterize import Pinhole
 
@@ -171,26 +171,6 @@ def _function(name: str, dtype: torch.dtype) -> Any:
     return getattr(native, f"{name}_{'float' if dtype == torch.float32 else 'double'}")
 
 
-def _image(tensor: Tensor | None) -> tuple[int, list[int]]:
-    """Address and strides, of (H, W) as of (H, W, 1)."""
-    if tensor is None:
-        return 0, [0, 0, 0]
-    return tensor.data_ptr(), [*tensor.stride(), 0][:3]
-
-
-def _numbers(camera: Pinhole) -> list[float]:
-    """Lens and the rotation from the camera to the world."""
-    rotation = camera.cam_from_world[:3, :3].detach().double().T.flatten().tolist()
-    return [camera.fx, camera.fy, camera.cx, camera.cy, *rotation]
-
-
-def _table(tensor: Tensor | None) -> tuple[int, list[int]]:
-    """Address and strides, of (P,) as of (P, 1)."""
-    if tensor is None:
-        return 0, [0, 0]
-    return tensor.data_ptr(), [*tensor.stride(), 0][:2]
-
-
 class _ClipThatPullsDown(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, x: Tensor, limit: float) -> Tensor:
@@ -220,10 +200,17 @@ class _ShadingInputs(torch.autograd.Function):
         diffuse, roughness, reflected, cosine = planes
         out = [diffuse.T, roughness[0], reflected.T, cosine[0]]
         out.append(features.new_empty(count, 4 if near is not None else 0))
-        images = [_image(t) for t in (features, alpha, normal, near)]
-        head = ([*alpha.shape], _numbers(camera), count, pixels.data_ptr(), channels, images)
+        images = [addresses.image(t) for t in (features, alpha, normal, near)]
+        head = (
+            [*alpha.shape],
+            addresses.lens_and_rotation(camera),
+            count,
+            pixels.data_ptr(),
+            channels,
+            images,
+        )
         ctx.head = (*head, threads)
-        _function("shading_inputs", features.dtype)(*ctx.head, [_table(t) for t in out])
+        _function("shading_inputs", features.dtype)(*ctx.head, [addresses.table(t) for t in out])
         ctx.save_for_backward(features, alpha, normal, near, pixels)
         return tuple(out)
 
@@ -233,7 +220,7 @@ class _ShadingInputs(torch.autograd.Function):
         widths = (features.shape[2], 1, 3, 4 if near is not None else 0)
         grads = [alpha.new_empty(width, *alpha.shape) for width in widths]
         _function("shading_inputs_bwd", alpha.dtype)(
-            *ctx.head, [_table(t) for t in v], [t.data_ptr() for t in grads]
+            *ctx.head, [addresses.table(t) for t in v], [t.data_ptr() for t in grads]
         )
         v_features, v_alpha, v_normal, v_near = (g.permute(1, 2, 0) for g in grads)
         return (
@@ -259,8 +246,8 @@ class _Composite(torch.autograd.Function):
         threads: int,
     ) -> Tensor:
         planes = alpha.new_empty(3, *alpha.shape)
-        images = [_image(t) for t in (object_alpha, alpha, behind)]
-        tables = [_table(t) for t in (diffuse, radiance)]
+        images = [addresses.image(t) for t in (object_alpha, alpha, behind)]
+        tables = [addresses.table(t) for t in (diffuse, radiance)]
         head = [[*alpha.shape], len(pixels), pixels.data_ptr(), tables, images]
         head += [backdrop.tolist(), threads]
         _function("composite", alpha.dtype)(*head, planes.data_ptr())
@@ -274,7 +261,7 @@ class _Composite(torch.autograd.Function):
         linear = diffuse.new_empty(3, len(pixels))
         v_object, v_alpha = alpha.new_empty(alpha.shape), alpha.new_empty(alpha.shape)
         _function("composite_bwd", alpha.dtype)(
-            *ctx.head, [_image(v[0])], [t.data_ptr() for t in (linear, v_object, v_alpha)]
+            *ctx.head, [addresses.image(v[0])], [t.data_ptr() for t in (linear, v_object, v_alpha)]
         )
         v_linear, behind = linear.T, v[0] if ctx.behind else None
         return v_linear, v_linear, None, v_object, v_alpha, None, behind, None
@@ -300,8 +287,8 @@ class _NormalAgreement(torch.autograd.Function):
             grads = [alpha.new_empty(channels, height, width) for channels in (3, 1, 1)]
         total: float = _function("normal_agreement", alpha.dtype)(
             [height, width],
-            _numbers(camera),
-            [_image(t) for t in (normal, depth, alpha)],
+            addresses.lens_and_rotation(camera),
+            [addresses.image(t) for t in (normal, depth, alpha)],
             scale,
             edge,
             threads,

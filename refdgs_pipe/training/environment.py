@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from refdgs_pipe.artifacts.surfel_field import SurfelField
 from refdgs_pipe.training.reflection import specular
-from refdgs_pipe.training.render import _shader
+from refdgs_pipe.training.render import shader_of
 
 F32 = NDArray[np.float32]
 ROUGHNESS, COSINE = 0.0, 1.0
@@ -26,7 +26,7 @@ def mirrored_light(field: SurfelField, directions: F32) -> F32 | None:
     Returns:
         (..., 3) radiance, at least 0.
     """
-    shader = _shader(field, "cpu")
+    shader = shader_of(field, "cpu")
     if shader is None:
         return None
     flat = torch.from_numpy(np.ascontiguousarray(directions.reshape(-1, 3), np.float32))

@@ -88,7 +88,7 @@ def _scene(field: SurfelField, camera: Camera, device: str) -> Scene:
         local_features=near["features"] if len(local) else None,
         background=_surfels(background, device) if len(background) else None,
         background_rgb=rgb,
-        shader=_shader(field, device),
+        shader=shader_of(field, device),
     )
 
 
@@ -101,7 +101,8 @@ def _surfels(part: SurfelSet, device: str) -> Surfels:
     )
 
 
-def _shader(field: SurfelField, device: str) -> Shader | None:
+def shader_of(field: SurfelField, device: str) -> Shader | None:
+    """The field's trained shader; None if it is matte."""
     model = field.shader
     if not model.reflection:
         return None
