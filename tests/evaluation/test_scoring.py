@@ -56,7 +56,7 @@ def check_perfect(scores: Scores) -> None:
     assert surface is not None and surface.chamfer is not None
     assert surface.paper_chamfer == 0 and surface.chamfer < 1e-6
     assert surface.f_score_half_percent == surface.f_score_one_percent == 1
-    assert set(scores.notes) == {"lpips"}
+    assert set(scores.notes) == {"lpips", "materials", "relit_psnr"}
 
 
 def check_known_errors(oracle: Oracle) -> None:
