@@ -52,9 +52,9 @@ def appearance(
         typical_light(field, samples.roughness, samples.specular, params.light),
         lift=tolerance / 2,
         metal=params.metal == "tell",
+        threads=job.threads,
         progress=lambda done, total: job.progress("telling material from light", done, total),
     )
-    job.measure("samples", len(samples.face))
     job.measure("mean light", round(float(found.environment.mean()), 3), "linear, 1 is white")
     job.measure("metal", round(float((found.metallic > 0.5).mean()), 3), "share of the vertices")
     return found

@@ -56,6 +56,7 @@ def fit(
     lift: float,
     metal: bool,
     plan: Plan | None = None,
+    threads: int = 1,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Appearance:
     """The materials and the light under which the mesh looks as the field does.
@@ -64,10 +65,20 @@ def fit(
         light: (H, 2H, 3) first guess of the light, in any unit; H a multiple of 4.
         lift: how far above the surface rays start, world units.
         metal: whether there may be any.
+        threads: of torch; the result does not depend on it beyond rounding.
         progress: called with epochs done and in all.
     """
-    plan = plan or Plan()
-    problem = _Problem(mesh, samples, light, lift)
+    plan, before = plan or Plan(), torch.get_num_threads()
+    torch.set_num_threads(threads)
+    try:
+        return _fitted(_Problem(mesh, samples, light, lift), plan, metal, progress)
+    finally:
+        torch.set_num_threads(before)
+
+
+def _fitted(
+    problem: "_Problem", plan: Plan, metal: bool, progress: Callable[[int, int], None]
+) -> Appearance:
     total = sum(plan.epochs)
     state = problem.start(metal=metal)
     first, second = plan.epochs
