@@ -200,22 +200,10 @@ def seam_split(mesh: TriangleMesh, corners: F32) -> UvMesh:
     source = vertex[first]
     return UvMesh(
         mesh.vertices[source],
-        vertex_normals(mesh)[source],
+        mesh.vertex_normals()[source],
         corners.reshape(-1, 2)[first],
         faces.reshape(-1, 3).astype(np.int32),
     )
-
-
-def vertex_normals(mesh: TriangleMesh) -> F32:
-    """(V, 3) unit normals, faces weighted by their area."""
-    a, b, c = (mesh.vertices[mesh.faces[:, i]].astype(np.float64) for i in range(3))
-    weighted = np.cross(b - a, c - a)
-    total = np.zeros((len(mesh.vertices), 3))
-    for i in range(3):
-        np.add.at(total, mesh.faces[:, i], weighted)
-    length = np.linalg.norm(total, axis=1, keepdims=True)
-    unit = np.where(length > 0, total / np.maximum(length, 1e-30), [0.0, 0.0, 1.0])
-    return unit.astype(np.float32)
 
 
 def measure(method: str, mesh: TriangleMesh, corners: F32) -> Layout:

@@ -17,7 +17,6 @@ from refdgs_pipe.artifacts.appearance import Appearance
 from refdgs_pipe.artifacts.mesh import TriangleMesh
 from refdgs_pipe.light import Environment, blur, lookups
 from refdgs_pipe.received import Sky, links_of, look_around, spread
-from refdgs_pipe.texture.charts import vertex_normals
 from refdgs_pipe.texture.sampling import Samples
 from refdgs_pipe.texture.unknowns import Batch, State, Unknown
 
@@ -242,7 +241,7 @@ class _Problem:
 
 
 def _look_around(mesh: TriangleMesh, lift: float) -> Sky:
-    return look_around(mesh.vertices, mesh.faces, vertex_normals(mesh), lift=lift)
+    return look_around(mesh.vertices, mesh.faces, mesh.vertex_normals(), lift=lift)
 
 
 def _heavy_median(values: F32, weights: F32) -> float:

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from refdgs_pipe.artifacts.mesh import TriangleMesh
 from refdgs_pipe.artifacts.surface_map import SurfaceMap
 from refdgs_pipe.errors import MeshError
-from refdgs_pipe.texture.charts import vertex_normals
 from refdgs_pipe.tracing import Solid, at_hits
 
 F32 = NDArray[np.float32]
@@ -56,7 +55,7 @@ class Sampler:
 
     def __init__(self, mesh: TriangleMesh, *, tolerance: float, per_view: int) -> None:
         self.mesh, self.tolerance, self.per_view = mesh, tolerance, per_view
-        self._normals = vertex_normals(mesh)
+        self._normals = mesh.vertex_normals()
         self._solid = Solid(mesh.vertices, mesh.faces)
         self._parts: list[Samples] = []
 
