@@ -23,6 +23,9 @@ F32 = NDArray[np.float32]
 Ints = NDArray[np.int64]
 
 
+_ROUGH = 1e-4  # loss for being smooth
+
+
 @dataclass(frozen=True)
 class State:
     """The unknowns as numbers: per vertex, and the light's flat picture.
@@ -70,6 +73,8 @@ class Unknown:
     def roughening(self, links: Tensor, height: int) -> Tensor:
         """What is held against unknowns that differ between neighbours, or from what was told."""
         total = 1e-4 * (self.gain**2).mean()
+        # what is not seen to mirror anything is rough: smooth, it would mirror 0.04 of the light
+        total = total + _ROUGH * (1 - torch.sigmoid(self.rough)).mean()
         for values, weight in (
             (self.rough, 1e-3),
             (self.metal, 3e-4),
