@@ -207,9 +207,13 @@ class TrainableField:
         step_all(self._sets(), self.shader_optimizer)
 
     def adapt(self, iteration: int, rng: torch.Generator) -> None:
-        """Densify and prune when it is time."""
+        """Densify, prune and reset opacities when it is time."""
         p = self.params
         begin, end = p.densify_from * p.iterations, p.densify_until * p.iterations
+        reset = round(p.reset_every * p.iterations)
+        if reset and iteration % reset == 0 and iteration <= end:
+            for group in self._sets():
+                group.reset_opacities()
         if not begin < iteration < end or iteration % p.densify_every:
             return
         size = p.split_size * self.extent

@@ -12,6 +12,7 @@ from torch import Tensor
 from refdgs_pipe.artifacts.surfel_field import SurfelSet
 from refdgs_pipe.ops import Surfels, reference
 
+_RESET_OPACITY = math.log(0.01 / 0.99)  # raw
 _EPSILON = 1e-15  # of Adam, as the method has it: gradients per surfel are tiny
 
 
@@ -90,6 +91,15 @@ class TrainableSet:
             group["params"][0] = new
             self.raw[name] = new
         self._reset_statistics()
+
+    def reset_opacities(self) -> None:
+        """Fade what is more opaque than 0.01 to that, so that the photos choose anew (3DGS)."""
+        raw = self.raw["raw_opacities"]
+        with torch.no_grad():
+            raw.clamp_(max=_RESET_OPACITY)
+        for moment in ("exp_avg", "exp_avg_sq"):
+            if moment in self.optimizer.state.get(raw, {}):
+                self.optimizer.state[raw][moment].zero_()
 
     def state(self) -> dict[str, Tensor]:
         """Everything needed to continue, as named tensors."""

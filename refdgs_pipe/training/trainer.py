@@ -158,7 +158,8 @@ class Trainer:
                 picture.normal, picture.diffuse, picture.depth, maps.alpha
             )
         if maps.distortion is not None:
-            loss = loss + p.distortion_weight * maps.distortion.mean()
+            relative = maps.distortion.mean() / NEAR**2  # it is measured in near / depth
+            loss = loss + p.distortion_weight * relative
         return loss
 
     def _note(self, loss: Tensor, image: Tensor, target: Tensor) -> None:
