@@ -5,6 +5,7 @@
 #include <stdexcept>
 #include <string>
 #include <type_traits>
+#include <typeinfo>
 
 #include "grid.h"
 #include "queue.h"
@@ -44,13 +45,13 @@ template <class K> __global__ void __launch_bounds__(K::kThreads, Resident<K>::b
 }
 
 inline void check(cudaError_t status, const char* what) {
-  if (status != cudaSuccess) throw std::runtime_error(std::string("CUDA, ") + what + ": " + cudaGetErrorString(status));
+  if (status != cudaSuccess) throw std::runtime_error(std::string("CUDA: ") + cudaGetErrorString(status) + " at " + what);
 }
 
 template <class K> void DeviceQueue::run(int64_t blocks, const K& kernel) const {
   if (!blocks) return;
   enter<K><<<unsigned(blocks), K::kThreads, 0, static_cast<cudaStream_t>(stream)>>>(kernel);
-  check(cudaGetLastError(), "launch");
+  check(cudaGetLastError(), typeid(K).name());
 }
 
 }  // namespace refdgs::cuda

@@ -9,6 +9,7 @@ from torch import Tensor
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.surfel_field import ShaderModel, SurfelField, SurfelSet
 from refdgs_pipe.ops import Pinhole
+from refdgs_pipe.ops.cuda import sent
 from refdgs_pipe.training import initial
 from refdgs_pipe.training.photos import TrainingPhoto
 from refdgs_pipe.training.reflection import Shader
@@ -174,7 +175,7 @@ class TrainableField:
         if self.background is not None:
             pose = camera.cam_from_world
             center = -pose[:3, :3].T @ pose[:3, 3]
-            towards = self.background.raw["means"].detach() - center.to(self.device)
+            towards = self.background.raw["means"].detach() - sent(center, self.device)
             towards = towards / towards.norm(dim=-1, keepdim=True)
             background_rgb = sh_color(self.background.raw["sh"], towards)
         return Scene(

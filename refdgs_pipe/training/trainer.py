@@ -16,6 +16,7 @@ from refdgs_pipe.artifacts.surfel_field import SurfelField
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.errors import Cancelled, TrainingError
 from refdgs_pipe.ops import image_loss, normal_agreement
+from refdgs_pipe.ops.cuda import sent
 from refdgs_pipe.ops.native import keep_freed_memory
 from refdgs_pipe.ops.rasterize import Extra
 from refdgs_pipe.training import losses
@@ -120,7 +121,7 @@ class Trainer:
         photo = self._photo(fraction)
         self.field.set_rates(fraction)
         backdrop = torch.rand(3, generator=self.rng) if self.masked else torch.zeros(3)
-        backdrop = backdrop.to(self.device)
+        backdrop = sent(backdrop, self.device)
         extra: Extra = "distortion" if p.distortion_weight > 0 else "depth"
         picture = draw(
             self.field.scene(photo.pinhole, fraction), photo.pinhole, backdrop, extra=extra

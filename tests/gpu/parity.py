@@ -1,13 +1,20 @@
 """Every operation on the GPU in float32 against the CPU in float64, and against itself.
 
-python tests/gpu/parity.py --out FILE [--device cuda|emulated] [--small]
+python tests/gpu/parity.py --out FILE [--device cuda|emulated] [--small] [--once] [--only CASE]
+
+FILE is written after every case. A case that fails on the GPU can take its context with it: then
+it is run again where every launch is waited for, to name the kernel, and the rest in a new process.
 """
 
 import argparse
+import faulthandler
 import itertools
 import json
+import os
+import subprocess
 import sys
 import time
+import traceback
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import fields
@@ -30,6 +37,9 @@ LIMIT = 1e-4  # relative error by norm
 OUTLIERS = 0.003
 AS_GOOD = 3.0
 REPEATS = 3
+HANGS = 60.0  # seconds after which the log says where a case hangs
+BEYOND = 1e30  # the error of what did not come to an end
+EXPLAINED = 2  # failures that are run again to name their kernel
 Named = dict[str, Tensor]
 Run = Callable[[torch.dtype, str], Named]  # type and device to outputs and gradients
 
@@ -175,11 +185,13 @@ def error_of(found: Tensor, wanted: Tensor) -> tuple[float, float]:
     return float(kept.norm()) / norm, float(rows.norm()) / norm
 
 
-def check(name: str, run: Run, device: str, on: Callable[[], Any]) -> list[dict[str, Any]]:
+def check(
+    name: str, run: Run, device: str, on: Callable[[], Any], repeats: int
+) -> list[dict[str, Any]]:
     """One row for each output and gradient."""
     wanted, usual = run(torch.float64, "cpu"), run(torch.float32, "cpu")
     found = []
-    for _ in range(REPEATS):
+    for _ in range(repeats):
         with on():
             found.append(run(torch.float32, device))
     rows = []
@@ -197,31 +209,83 @@ def check(name: str, run: Run, device: str, on: Callable[[], Any]) -> list[dict[
     return rows
 
 
+def failed(name: str, why: str) -> dict[str, Any]:
+    """The row of a case that raised."""
+    row = {"case": name, "output": "-", "error": BEYOND, "cpu float32": 0.0}
+    return {**row, "same every time": False, "ok": False, "why": why}
+
+
+def explained(name: str, options: argparse.Namespace) -> str:
+    """What a case says in a process of its own that waits for every launch."""
+    command = [sys.executable, __file__, "--only", name, "--once", "--out", os.devnull]
+    blocking = {**os.environ, "CUDA_LAUNCH_BLOCKING": "1"}
+    try:
+        done = subprocess.run(
+            [*command, *(["--small"] if options.small else [])],
+            env=blocking, capture_output=True, text=True, timeout=40, check=False,
+        )  # fmt: skip
+    except subprocess.TimeoutExpired:
+        return "alone, it does not end within 40 s"
+    return "alone: " + (done.stdout + done.stderr)[-700:]
+
+
 def main() -> int:
     parser = argparse.ArgumentParser()
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--device", default="cuda")
     parser.add_argument("--small", action="store_true")
+    parser.add_argument("--once", action="store_true", help="no repeats")
+    parser.add_argument("--only", help="this case alone")
+    parser.add_argument("--start", type=int, default=0, help="go on with this case")
     options = parser.parse_args()
     device, on = options.device, nullcontext
     if device == "emulated":
         from emulation import emulated
 
         device, on = "cpu", emulated
-    begin, rows = time.monotonic(), []
-    for case in cases(small=options.small):
-        rows += check(case.name, drawing(case), device, on)
-    for name, run in fused(small=options.small).items():
-        rows += check(name, run, device, on)
-    ok = all(row["ok"] for row in rows)
-    record = {"ok": ok, "limit": LIMIT, "seconds": time.monotonic() - begin, "rows": rows}
-    options.out.write_text(json.dumps(record, indent=1))
+    jobs = {case.name: drawing(case) for case in cases(small=options.small)}
+    jobs |= fused(small=options.small)
+    begin, rows, spent = time.monotonic(), [], 0.0
+    if options.start:
+        record = json.loads(options.out.read_text())
+        rows, spent = record["rows"], record["seconds"]
+    for index, (name, run) in enumerate(jobs.items()):
+        if index < options.start or (options.only and name != options.only):
+            continue
+        print(f"{time.monotonic() - begin:6.1f} s  {name}", flush=True)
+        broken = None
+        faulthandler.dump_traceback_later(HANGS)
+        try:
+            rows += check(name, run, device, on, 1 if options.once else REPEATS)
+        except Exception as error:
+            traceback.print_exc()
+            broken = f"{type(error).__name__}: {error}"[:700]
+        faulthandler.cancel_dump_traceback_later()
+        if broken and device == "cuda" and not options.only:
+            if sum("why" in row for row in rows) < EXPLAINED:
+                broken += "\n" + explained(name, options)
+            print(broken, flush=True)
+        if broken:
+            rows.append(failed(name, broken))
+        seconds = spent + time.monotonic() - begin
+        record = {"ok": all(row["ok"] for row in rows), "limit": LIMIT, "seconds": seconds}
+        record |= {"cases": len(jobs), "rows": rows}
+        options.out.write_text(json.dumps(record, indent=1))
+        if broken and device == "cuda" and not options.only:
+            again = [__file__, *sys.argv[1:], "--start", str(index + 1)]
+            os.execv(sys.executable, [sys.executable, *again])
+    return verdict(rows)
+
+
+def verdict(rows: list[dict[str, Any]]) -> int:
+    """Says what is not as it should be; 1 if there is such."""
     for row in rows:
         if not row["ok"]:
             print("FAILED", row)
-    worst = max(row["error"] for row in rows)
-    verdict = "all" if ok else "NOT all"
-    print(f"{len(rows)} outputs, worst error {worst:.2e}, {verdict} as they should be")
+    ok = bool(rows) and all(row["ok"] for row in rows)
+    worst = max((row["error"] for row in rows), default=BEYOND)
+    all_of = "all" if ok else "NOT all"
+    print(f"{len(rows)} outputs, worst error {worst:.2e}, {all_of} as they should be")
     return 0 if ok else 1
 
 

@@ -11,6 +11,7 @@ import re
 import statistics
 import sys
 import time
+import traceback
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
@@ -29,7 +30,7 @@ from refdgs_pipe.ops import Surfels, cuda_rasterize, rasterize  # noqa: E402
 WARM, REPEATS = 5, 20
 PAIRS = 50.0  # pixels of a tile that an entry is blended into, about
 LARGER = 2.0  # than the parity's: some 20 surfels on a pixel of the object
-KERNEL = re.compile(r"enter<refdgs::cuda::(\w+)<float(?:, (\d+), (\d+))?")
+KERNEL = re.compile(r"enter<refdgs::cuda::(\w+)<float(?:, (?:\(int\))?(\d+), (?:\(int\))?(\d+))?")
 
 
 class Clock:
@@ -211,19 +212,30 @@ def main() -> int:
         rate, flops = rates(clock)
         side = 48 if options.small else 800
         counts = (200, 100) if options.small else (100_000, 30_000)
-        rows = drawing(clock, counts[0], side, 12, "depth")
-        rows += drawing(clock, counts[1], side, 4, "none")
-        rows += fused(clock, side)
+        rows, problems = [], []
+        parts = {
+            "geometry": lambda: drawing(clock, counts[0], side, 12, "depth"),
+            "local": lambda: drawing(clock, counts[1], side, 4, "none"),
+            "fused": lambda: fused(clock, side),
+        }
+        for name, part in parts.items():
+            print(name, flush=True)
+            try:
+                rows += part()
+            except Exception as error:  # what else can be timed is timed
+                traceback.print_exc()
+                problems.append(f"{name}: {error}"[:700])
         runs = [row.pop("run") for row in rows]
-        table = kernels(runs) if device == "cuda" else []
+        table = kernels(runs) if device == "cuda" and not problems else []
     for row in rows:
         row["floor ms"] = 1e3 * max(row["bytes"] / rate, row["flop"] / flops)
         row["times the floor"] = row["ms"] / row["floor ms"] if row["floor ms"] else math.inf
     record = {"GB/s": rate / 1e9, "TFLOP/s": flops / 1e12, "rows": rows, "kernels": table}
+    record |= {"problems": problems}
     options.out.write_text(json.dumps(record, indent=1))
     for row in rows:
         print(f"{row['what']:75} {row['ms']:8.3f} ms, floor {row['floor ms']:.3f}")
-    return 0
+    return 1 if problems else 0
 
 
 if __name__ == "__main__":
