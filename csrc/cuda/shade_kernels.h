@@ -23,9 +23,9 @@ template <class S> REFDGS_KERNEL S& row_of(const Rows<S>& rows, int64_t i, int c
 template <class S> REFDGS_KERNEL Vec3<S> ray_of(const View<S>& view, int64_t y, int64_t x) {  // camera, z = 1
   return {(S(x) + S(0.5) - view.cx) / view.fx, (S(y) + S(0.5) - view.cy) / view.fy, S(1)};
 }
-template <class S> REFDGS_KERNEL MirrorAt<S> mirror_of(const Covered<S>& at, int64_t y, int64_t x) {
+template <class S> REFDGS_KERNEL Mirror<S> mirror_of(const Covered<S>& at, int64_t y, int64_t x) {
   const Vec3<S> r = ray_of(at.view, y, x);
-  return {mul(at.view.world_from_cam, (1 / std::sqrt(dot(r, r))) * r), three_of(at.normal, y, x)};
+  return {rotate(at.view.world_from_cam, (1 / std::sqrt(dot(r, r))) * r), three_of(at.normal, y, x)};
 }
 
 template <class S> struct GatherInputs {
@@ -41,7 +41,7 @@ template <class S> struct GatherInputs {
     const S whole = 1 / pixel_of(at.alpha, y, x, 0);
     for (int c = 0; c < 3; ++c) row_of(out.diffuse, i, c) = pixel_of(at.features, y, x, c) * whole;
     row_of(out.roughness, i, 0) = pixel_of(at.features, y, x, 3) * whole;
-    const MirrorAt<S> mirror = mirror_of(at, y, x);
+    const Mirror<S> mirror = mirror_of(at, y, x);
     const Vec3<S> to = mirror.out.unit;
     row_of(out.reflected, i, 0) = to.x, row_of(out.reflected, i, 1) = to.y, row_of(out.reflected, i, 2) = to.z;
     row_of(out.cosine, i, 0) = mirror.cosine();
@@ -71,7 +71,7 @@ template <class S> struct GatherInputsBwd {
     }
     grads.alpha[p] = v_alpha;
     const Vec3<S> v_out{row_of(v.reflected, i, 0), row_of(v.reflected, i, 1), row_of(v.reflected, i, 2)};
-    const Vec3<S> n = mirror_of(at, y, x).backward(v_out, row_of(v.cosine, i, 0));
+    const Vec3<S> n = mirror_of(at, y, x).vjp(v_out, row_of(v.cosine, i, 0));
     grads.normal[p] = n.x, grads.normal[plane + p] = n.y, grads.normal[2 * plane + p] = n.z;
     if (at.near.data)
       for (int c = 0; c < 4; ++c) grads.near[c * plane + p] = row_of(v.near, i, c);
@@ -109,7 +109,7 @@ template <class S> struct ComposeObject {
     const int64_t plane = int64_t(in.width) * in.height, p = in.pixels[i];
     const S a = pixel_of(in.object_alpha, p / in.width, p % in.width, 0);
     for (int c = 0; c < 3; ++c)
-      image[c * plane + p] += a * srgb_curve(clipped_linear(row_of(in.diffuse, i, c) + row_of(in.radiance, i, c)));
+      image[c * plane + p] += a * Shown<S>(row_of(in.diffuse, i, c) + row_of(in.radiance, i, c)).color;
   }
 };
 
@@ -145,9 +145,10 @@ template <class S> struct ComposeObjectBwd {
     const S a = pixel_of(in.object_alpha, y, x, 0);
     S v_a = 0;
     for (int c = 0; c < 3; ++c) {
-      const S linear = row_of(in.diffuse, i, c) + row_of(in.radiance, i, c), v = pixel_of(v_image, y, x, c);
-      v_a += v * srgb_curve(clipped_linear(linear));
-      v_linear[c * in.count + i] = srgb_vjp(linear, a * v);
+      const Shown<S> shown(row_of(in.diffuse, i, c) + row_of(in.radiance, i, c));
+      const S v = pixel_of(v_image, y, x, c);
+      v_a += v * shown.color;
+      v_linear[c * in.count + i] = shown.vjp(a * v);
     }
     v_object_alpha[p] = v_a;
   }
@@ -190,7 +191,7 @@ template <class S> struct AgreeNormals {
     if (!border && weight != 0) {
       const Vec3<S> above = point(y - 1, x), below = point(y + 1, x), left = point(y, x - 1), next = point(y, x + 1);
       const S here = point(y, x).z;
-      if (lies_on_a_surface(above.z, below.z, left.z, next.z, here, in.view.fx, in.edge)) {
+      if (bend_of<S>(above.z, below.z, left.z, next.z, here) * in.view.fx < in.edge * here) {
         const Vec3<S> splatted = three_of(in.normal, y, x);
         const NormalPair<S> pair(below - above, next - left, splatted, in.view.world_from_cam, -in.scale * weight);
         sum = weight * (1 - pair.agreement);
