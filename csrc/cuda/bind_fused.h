@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "../fused_arguments.h"
+#include "adam.h"
 #include "bind_raster.h"
 #include "image_loss.h"
 #include "mlp.h"
@@ -26,29 +27,36 @@ template <class S, class Queue> void bind_image_loss(nb::module_& m, const std::
 }
 
 template <class S, class Queue> void bind_sph_mip(nb::module_& m, const std::string& type) {
+  // limit: of the directions that are looked at, or 0.
   m.def(("sph_mip_" + type).c_str(), [](Address stream, Size size, int64_t count, double min_level, Addresses in,
-                                        Strides strides, Address out) {
+                                        Strides strides, Address limit, Address out) {
     nb::gil_scoped_release release;
-    sph_mip(Queue{at<void>(stream)}, sph_mip_query<S>(size, count, min_level, in, strides),
+    sph_mip(Queue{at<void>(stream)},
+            LimitedQuery<S>{sph_mip_query<S>(size, count, min_level, in, strides), at<const int64_t>(limit)},
             mip_map<S>(size, in[0], in[1]), at<S>(out));
   });
   // grads: base (or 0), directions, roughness; work: bits (0 with base), scale.
   m.def(("sph_mip_bwd_" + type).c_str(), [](Address stream, Size size, int64_t count, double min_level, Addresses in,
-                                            Strides strides, Address v_out, Addresses grads, Addresses work) {
+                                            Strides strides, Address limit, Address v_out, Addresses grads,
+                                            Addresses work) {
     nb::gil_scoped_release release;
     SphMipGrads<S> to{{int(size[0]), int(size[1]), int(size[2]), {at<S>(grads[0])}}, at<S>(grads[1]), at<S>(grads[2])};
-    sph_mip_bwd(Queue{at<void>(stream)}, sph_mip_query<S>(size, count, min_level, in, strides), at<const S>(v_out),
-                to, SphMipWork<S>{at<int64_t>(work[0]), at<uint32_t>(work[1])});
+    sph_mip_bwd(Queue{at<void>(stream)},
+                LimitedQuery<S>{sph_mip_query<S>(size, count, min_level, in, strides), at<const int64_t>(limit)},
+                at<const S>(v_out), to, SphMipWork<S>{at<int64_t>(work[0]), at<uint32_t>(work[1])});
   });
 }
 
-// shape: points, inputs, hidden layers, outputs, blocks; cap: empty, or of the exponential.
+// shape: points, inputs, hidden layers, outputs, blocks; cap: empty, or of the exponential; limit: of the points that
+// are looked at, or 0.
 template <class S>
-MlpCall<S> mlp_call(Size shape, Address x, Strides strides, Addresses weights, Addresses biases, Numbers cap) {
+MlpCall<S> mlp_call(Size shape, Address x, Strides strides, Addresses weights, Addresses biases, Numbers cap,
+                    Address limit) {
   MlpCall<S> call{};
   call.shape = mlp_shape(shape);
   call.blocks = int(shape[4]);
   call.points = mlp_points<S>(shape, x, strides, cap, false);
+  call.limit = at<const int64_t>(limit);
   call.net = mlp_parameters<const S>(weights, biases);
   call.cap = S(call.points.cap), call.largest = std::exp(call.cap);
   return call;
@@ -56,18 +64,18 @@ MlpCall<S> mlp_call(Size shape, Address x, Strides strides, Addresses weights, A
 
 template <class S, class Queue> void bind_mlp(nb::module_& m, const std::string& type) {
   m.def(("mlp_" + type).c_str(), [](Address stream, Size shape, Address x, Strides strides, Addresses weights,
-                                    Addresses biases, Numbers cap, Address out) {
+                                    Addresses biases, Numbers cap, Address limit, Address out) {
     nb::gil_scoped_release release;
-    MlpCall<S> call = mlp_call<S>(shape, x, strides, weights, biases, cap);
+    MlpCall<S> call = mlp_call<S>(shape, x, strides, weights, biases, cap, limit);
     call.out = at<S>(out);
     mlp(Queue{at<void>(stream)}, call);
   });
   // data: out, v_out, v_x (or 0), hidden, parts.
   m.def(("mlp_bwd_" + type).c_str(), [](Address stream, Size shape, Address x, Strides strides, Addresses weights,
-                                        Addresses biases, Numbers cap, Addresses data, Addresses v_weights,
+                                        Addresses biases, Numbers cap, Address limit, Addresses data, Addresses v_weights,
                                         Addresses v_biases) {
     nb::gil_scoped_release release;
-    MlpCall<S> call = mlp_call<S>(shape, x, strides, weights, biases, cap);
+    MlpCall<S> call = mlp_call<S>(shape, x, strides, weights, biases, cap, limit);
     call.out = at<S>(data[0]), call.v_out = at<const S>(data[1]), call.v_x = at<S>(data[2]);
     call.hidden = at<S>(data[3]), call.parts = at<S>(data[4]);
     call.v_net = mlp_parameters<S>(v_weights, v_biases);
@@ -76,6 +84,22 @@ template <class S, class Queue> void bind_mlp(nb::module_& m, const std::string&
 }
 
 template <class S, class Queue> void bind_shade(nb::module_& m, const std::string& type) {
+  // Scratch of covered_pixels: bytes of its counts, and of the scan's own.
+  m.def(("covered_sizes_" + type).c_str(), [](Address stream, Size size) {
+    CoveredCall<S> call{int(size[1]), int(size[0]), {}, S(0), 0, nullptr, nullptr, nullptr, nullptr};
+    const int64_t scan = int64_t(Queue{at<void>(stream)}.scan_bytes(call.blocks() + 1));
+    return std::vector<int64_t>{(call.blocks() + 1) * int64_t(sizeof(int64_t)), scan};
+  });
+  // memory: pixels, counts, the scan's scratch; plan: what is needed, and what says that it does not fit.
+  m.def(("covered_pixels_" + type).c_str(), [](Address stream, Size size, Images alpha, double least, int64_t room,
+                                               Addresses memory, int64_t bytes, Addresses plan) {
+    nb::gil_scoped_release release;
+    covered_pixels(Queue{at<void>(stream)},
+                   CoveredCall<S>{int(size[1]), int(size[0]), image<S>(alpha[0]), S(least), room,
+                                  at<int64_t>(memory[0]), at<int64_t>(memory[1]), at<int64_t>(plan[0]),
+                                  at<float>(plan[1])},
+                   at<void>(memory[2]), bytes);
+  });
   m.def(("shading_inputs_" + type).c_str(), [](Address stream, Size size, Numbers numbers, int64_t count,
                                                Address pixels, int channels, Images images, Tables out) {
     nb::gil_scoped_release release;
@@ -112,6 +136,25 @@ template <class S, class Queue> void bind_shade(nb::module_& m, const std::strin
                                   image<S>(images[2]), S(scale), S(edge), at<S>(grads[0]), at<S>(grads[1]),
                                   at<S>(grads[2])},
                      at<S>(grads[3]), at<S>(sums[0]), at<S>(sums[1]));
+  });
+}
+
+template <class S, class Queue> void bind_adam(nb::module_& m, const std::string& type) {
+  // addresses: of each tensor values, gradient, mean, square, step; constants: both betas, epsilon.
+  m.def(("adam_" + type).c_str(), [](Address stream, Addresses addresses, Size counts, Numbers rates,
+                                     Numbers constants, Address misfit) {
+    nb::gil_scoped_release release;
+    if (counts.size() > size_t(kAdamTensors)) throw std::invalid_argument("too many tensors");
+    AdamCall<S> call{};
+    call.tensors = int(counts.size());
+    for (size_t k = 0; k < counts.size(); ++k) {
+      const Address* of = &addresses[5 * k];
+      call.tensor[k] = {at<S>(of[0]), at<S>(of[1]), at<S>(of[2]), at<S>(of[3]), at<float>(of[4]), counts[k],
+                        S(rates[k]), 0};
+    }
+    call.beta1 = constants[0], call.beta2 = constants[1], call.epsilon = S(constants[2]);
+    call.misfit = at<const float>(misfit);
+    adam(Queue{at<void>(stream)}, call);
   });
 }
 

@@ -49,7 +49,7 @@ template <class S> struct MlpTile {
   int points;
 
   REFDGS_KERNEL MlpTile(const MlpCall<S>& call, int64_t tile) : f(call), begin(tile * kMlpPoints) {
-    const int64_t left = call.points.count - begin;
+    const int64_t left = call.count() - begin;
     points = left < kMlpPoints ? int(left) : kMlpPoints;
   }
 
@@ -106,6 +106,7 @@ template <class S> struct MlpForward {
 
   template <class Thread> REFDGS_KERNEL void operator()(Thread& t, Shared& s) const {
     const MlpTile<S> tile(f, t.block());
+    if (tile.points <= 0) return;
     tile.load_x(t, s.a);
     for (int l = 0; l < f.shape.hidden_layers; ++l) tile.hidden_layer(t, s, l, static_cast<S*>(nullptr));
     const int p = t.thread() % kMlpPoints, o = t.thread() / kMlpPoints, last = f.shape.hidden_layers;
@@ -123,7 +124,7 @@ template <class S> struct MlpBackward {
   MlpCall<S> f;
 
   template <class Thread> REFDGS_KERNEL void operator()(Thread& t, Shared& s) const {
-    const int64_t tiles = (f.points.count + kMlpPoints - 1) / kMlpPoints;
+    const int64_t tiles = (f.count() + kMlpPoints - 1) / kMlpPoints;
     S* part = f.parts + int64_t(t.block()) * f.numbers();
     S* hidden = f.hidden + int64_t(t.block()) * f.shape.hidden_layers * kHidden * kMlpPoints;
     for (int i = t.thread(); i < f.numbers(); i += kThreads) part[i] = 0;

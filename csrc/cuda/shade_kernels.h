@@ -28,6 +28,60 @@ template <class S> REFDGS_KERNEL Mirror<S> mirror_of(const Covered<S>& at, int64
   return {rotate(at.view.world_from_cam, (1 / std::sqrt(dot(r, r))) * r), three_of(at.normal, y, x)};
 }
 
+// How many pixels of a block are covered; of the block past the last, none.
+template <class S> struct CountCovered {
+  static constexpr int kThreads = kCoveredThreads, kWarps = kThreads / kWarp;
+  struct Shared {
+    int counts[kWarps];
+  };
+  CoveredCall<S> f;
+
+  template <class Thread> REFDGS_KERNEL static bool is_covered(Thread& t, const CoveredCall<S>& f) {
+    const int64_t p = int64_t(t.block()) * kThreads + t.thread();
+    return p < f.plane() && pixel_of(f.alpha, p / f.width, p % f.width, 0) > f.least;
+  }
+  template <class Thread> REFDGS_KERNEL void operator()(Thread& t, Shared& s) const {
+    const uint32_t covered = t.ballot(is_covered(t, f));
+    if (t.lane() == 0) s.counts[t.warp()] = bit_count(covered);
+    t.sync();
+    if (t.thread()) return;
+    int64_t sum = 0;
+    for (int w = 0; w < kWarps; ++w) sum += s.counts[w];
+    f.counts[t.block()] = sum;
+  }
+};
+
+template <class S> struct WriteCovered {
+  static constexpr int kThreads = kCoveredThreads, kWarps = kThreads / kWarp;
+  using Shared = typename CountCovered<S>::Shared;
+  CoveredCall<S> f;
+
+  template <class Thread> REFDGS_KERNEL void operator()(Thread& t, Shared& s) const {
+    const bool mine = CountCovered<S>::is_covered(t, f);
+    const uint32_t covered = t.ballot(mine);
+    if (t.lane() == 0) s.counts[t.warp()] = bit_count(covered);
+    t.sync();
+    int64_t at = f.counts[t.block()] + bit_count(covered & ((1u << t.lane()) - 1));
+    for (int w = 0; w < t.warp(); ++w) at += s.counts[w];
+    if (mine && at < f.room) f.pixels[at] = int64_t(t.block()) * kThreads + t.thread();
+  }
+};
+
+template <class S> struct PadCovered {
+  static constexpr int kThreads = 256;
+  using Shared = Nothing;
+  CoveredCall<S> f;
+
+  template <class Thread> REFDGS_KERNEL void operator()(Thread& t, Shared&) const {
+    const int64_t i = int64_t(t.block()) * kThreads + t.thread(), needed = f.counts[f.blocks()];
+    if (i == 0) {
+      *f.needed = needed;
+      if (needed > f.room) *f.misfit = 1;
+    }
+    if (i >= needed && i < f.room) f.pixels[i] = -1;
+  }
+};
+
 template <class S> struct GatherInputs {
   static constexpr int kThreads = 256;
   using Shared = Nothing;
@@ -37,6 +91,7 @@ template <class S> struct GatherInputs {
   template <class Thread> REFDGS_KERNEL void operator()(Thread& t, Shared&) const {
     const int64_t i = int64_t(t.block()) * kThreads + t.thread();
     if (i >= at.count) return;
+    if (at.pixels[i] < 0) return nowhere(i);
     const int64_t y = at.pixels[i] / at.view.width, x = at.pixels[i] % at.view.width;
     const S whole = 1 / pixel_of(at.alpha, y, x, 0);
     for (int c = 0; c < 3; ++c) row_of(out.diffuse, i, c) = pixel_of(at.features, y, x, c) * whole;
@@ -47,6 +102,14 @@ template <class S> struct GatherInputs {
     row_of(out.cosine, i, 0) = mirror.cosine();
     if (at.near.data)
       for (int c = 0; c < 4; ++c) row_of(out.near, i, c) = pixel_of(at.near, y, x, c);
+  }
+
+  // Numbers that harm nothing, where there is no pixel.
+  REFDGS_KERNEL void nowhere(int64_t i) const {
+    for (int c = 0; c < 3; ++c) row_of(out.diffuse, i, c) = 0, row_of(out.reflected, i, c) = S(c == 2);
+    row_of(out.roughness, i, 0) = 1, row_of(out.cosine, i, 0) = 0;
+    if (at.near.data)
+      for (int c = 0; c < 4; ++c) row_of(out.near, i, c) = 0;
   }
 };
 
@@ -61,6 +124,7 @@ template <class S> struct GatherInputsBwd {
     const int64_t i = int64_t(t.block()) * kThreads + t.thread();
     if (i >= at.count) return;
     const int64_t plane = int64_t(at.view.width) * at.view.height, p = at.pixels[i];
+    if (p < 0) return;
     const int64_t y = p / at.view.width, x = p % at.view.width;
     const S whole = 1 / pixel_of(at.alpha, y, x, 0);
     S v_alpha = 0;
@@ -107,6 +171,7 @@ template <class S> struct ComposeObject {
     const int64_t i = int64_t(t.block()) * kThreads + t.thread();
     if (i >= in.count) return;
     const int64_t plane = int64_t(in.width) * in.height, p = in.pixels[i];
+    if (p < 0) return;
     const S a = pixel_of(in.object_alpha, p / in.width, p % in.width, 0);
     for (int c = 0; c < 3; ++c)
       image[c * plane + p] += a * Shown<S>(row_of(in.diffuse, i, c) + row_of(in.radiance, i, c)).color;
@@ -142,6 +207,10 @@ template <class S> struct ComposeObjectBwd {
     const int64_t i = int64_t(t.block()) * kThreads + t.thread();
     if (i >= in.count) return;
     const int64_t p = in.pixels[i], y = p / in.width, x = p % in.width;
+    if (p < 0) {
+      for (int c = 0; c < 3; ++c) v_linear[c * in.count + i] = 0;
+      return;
+    }
     const S a = pixel_of(in.object_alpha, y, x, 0);
     S v_a = 0;
     for (int c = 0; c < 3; ++c) {

@@ -29,6 +29,7 @@ from cases import Case, camera, cases  # noqa: E402
 
 from refdgs_pipe import ops  # noqa: E402
 from refdgs_pipe.ops import Pinhole, Surfels, rasterize  # noqa: E402
+from refdgs_pipe.training.surfels import step_all  # noqa: E402
 
 LIMIT = 1e-4  # relative error by norm
 # Single rows (pixels, surfels) are beyond float32: a pixel at a cut-off falls on either side, a
@@ -127,10 +128,22 @@ def fused(*, small: bool) -> dict[str, Run]:
 
         return run
 
+    tensors = {f"p{k}": random(points, 3) - 0.5 for k in range(34)}
+
+    def adam(dtype: torch.dtype, device: str) -> Named:
+        leaves = {k: v.to(device, dtype).requires_grad_() for k, v in tensors.items()}
+        made = torch.optim.Adam(leaves.values(), lr=0.01, eps=1e-15, fused=True)
+        for turn in range(3):
+            for k, leaf in leaves.items():
+                leaf.grad = (tensors[k].flip(0) * 10.0 ** (turn - 3)).to(device, dtype)
+            step_all([], [made])
+        return {k: v.detach() for k, v in leaves.items()}
+
     sizes = [(29, 37)] if small else [(1, 1), (5, 70), (217, 333), (800, 800)]
     out = {
         "network": _plain(net, mlp),
         "Sph-Mip": _plain(encoding, sph_mip),
+        "Adam": adam,
         "shading": _shading((29, 37) if small else (217, 333), random),
     }
     return out | {f"image loss {w} x {h}": loss(h, w) for h, w in sizes}

@@ -26,6 +26,7 @@ from cases import camera, surfels  # noqa: E402
 
 from refdgs_pipe import ops  # noqa: E402
 from refdgs_pipe.ops import Surfels, cuda_rasterize, rasterize  # noqa: E402
+from refdgs_pipe.ops.cuda_adam import adam_step  # noqa: E402
 
 WARM, REPEATS = 5, 20
 PAIRS = 50.0  # pixels of a tile that an entry is blended into, about
@@ -159,9 +160,19 @@ def fused(clock: Clock, side: int) -> list[dict[str, Any]]:
             300.0 * pixels, 40.0 * pixels, 0.0,
         ),
     }  # fmt: skip
+    tensors = [leaf(130_000 if side > 100 else 50, 14), leaf(256, 512, 4)]
+    made = torch.optim.Adam(tensors, eps=1e-15, fused=True)
+    numbers = sum(t.numel() for t in tensors)
+
+    def adam() -> None:
+        for t in tensors:
+            t.grad = t.detach()
+        adam_step([made], None)
+
+    row = {"what": f"Adam, {numbers} numbers", "ms": clock.ms(adam), "bytes": 28.0 * numbers}
+    out: list[dict[str, Any]] = [{**row, "flop": 12.0 * numbers, "run": adam}]
     leaves = [x, base, directions, roughness, *weights, *biases, image, features, alpha, normal]
     leaves += [near, depth, radiance]
-    out = []
     for name, (run, bytes_in, flop, bytes_back, flop_back) in jobs.items():
         total = run().sum()
         back = lambda t=total: torch.autograd.grad(t, leaves, retain_graph=True, allow_unused=True)  # noqa: E731
