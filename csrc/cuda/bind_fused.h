@@ -47,14 +47,14 @@ template <class S, class Queue> void bind_sph_mip(nb::module_& m, const std::str
   });
 }
 
-// shape: points, inputs, hidden layers, outputs, blocks; cap: empty, or of the exponential; limit: of the points that
-// are looked at, or 0.
+// shape: points, inputs, hidden layers, outputs, blocks, tensor cores; cap: empty, or of the exponential; limit: of the
+// points that are looked at, or 0.
 template <class S>
 MlpCall<S> mlp_call(Size shape, Address x, Strides strides, Addresses weights, Addresses biases, Numbers cap,
                     Address limit) {
   MlpCall<S> call{};
   call.shape = mlp_shape(shape);
-  call.blocks = int(shape[4]);
+  call.blocks = int(shape[4]), call.tensor_cores = shape[5] != 0;
   call.points = mlp_points<S>(shape, x, strides, cap, false);
   call.limit = at<const int64_t>(limit);
   call.net = mlp_parameters<const S>(weights, biases);

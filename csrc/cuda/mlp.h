@@ -17,6 +17,7 @@ template <class S> struct MlpCall {
   MlpParameters<const S> net;
   S cap, largest;  // of the exponential, and exp(cap)
   int blocks;      // that share the tiles; backward has a part of `hidden` and `parts` for each
+  bool tensor_cores;  // for the hidden layers' products
   S* out;          // [points][outputs]
   const S* v_out;  // [points][outputs]
   S* v_x;          // [points][inputs], may be null

@@ -11,6 +11,7 @@ from refdgs_pipe.ops import addresses, cuda
 LOSS_TILE = 16  # pixels along the edge of a block's tile
 MLP_POINTS, MLP_HIDDEN = 64, 64  # points of a block's tile; width of hidden layers
 BLOCKS_PER_PROCESSOR = 3
+TENSOR_CORES = True  # for the network's hidden layers; else fused multiply-adds
 QUAD = 16  # bytes that kernels read at once
 
 
@@ -87,7 +88,7 @@ class Mlp(torch.autograd.Function):
         out = x.new_empty(len(x), outputs)
         tiles = -(-len(x) // MLP_POINTS)
         blocks = min(tiles, BLOCKS_PER_PROCESSOR * cuda.processors(x))
-        ctx.shape = [*x.shape, layers - 1, outputs, blocks]
+        ctx.shape = [*x.shape, layers - 1, outputs, blocks, int(TENSOR_CORES)]
         ctx.cap, ctx.limit = [] if exp_cap is None else [exp_cap], limit
         cuda.kernels("mlp", x)(*_mlp_call(ctx, x, parameters), out.data_ptr())
         ctx.save_for_backward(x, out, *parameters)

@@ -28,7 +28,7 @@ sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parent.parent)]
 from cases import Case, camera, cases  # noqa: E402
 
 from refdgs_pipe import ops  # noqa: E402
-from refdgs_pipe.ops import Pinhole, Surfels, rasterize  # noqa: E402
+from refdgs_pipe.ops import Pinhole, Surfels, cuda_fused, rasterize  # noqa: E402
 from refdgs_pipe.training.surfels import step_all  # noqa: E402
 
 LIMIT = 1e-4  # relative error by norm
@@ -142,6 +142,7 @@ def fused(*, small: bool) -> dict[str, Run]:
     sizes = [(29, 37)] if small else [(1, 1), (5, 70), (217, 333), (800, 800)]
     out = {
         "network": _plain(net, mlp),
+        "network by multiply-adds": _without_tensor_cores(_plain(net, mlp)),
         "Sph-Mip": _plain(encoding, sph_mip),
         "Adam": adam,
         "shading": _shading((29, 37) if small else (217, 333), random),
@@ -151,6 +152,17 @@ def fused(*, small: bool) -> dict[str, Run]:
 
 def _plain(inputs: Named, run: Callable[[Named], Named]) -> Run:
     return lambda dtype, device: pulled({k: v.to(device, dtype) for k, v in inputs.items()}, run)
+
+
+def _without_tensor_cores(run: Run) -> Run:
+    def other(dtype: torch.dtype, device: str) -> Named:
+        cuda_fused.TENSOR_CORES = False
+        try:
+            return run(dtype, device)
+        finally:
+            cuda_fused.TENSOR_CORES = True
+
+    return other
 
 
 def _shading(size: tuple[int, int], random: Callable[..., Tensor]) -> Run:

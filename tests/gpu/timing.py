@@ -25,7 +25,7 @@ sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parent.parent)]
 from cases import camera, surfels  # noqa: E402
 
 from refdgs_pipe import ops  # noqa: E402
-from refdgs_pipe.ops import Surfels, cuda_rasterize, rasterize  # noqa: E402
+from refdgs_pipe.ops import Surfels, cuda_fused, cuda_rasterize, rasterize  # noqa: E402
 from refdgs_pipe.ops.cuda_adam import adam_step  # noqa: E402
 
 WARM, REPEATS = 5, 20
@@ -173,12 +173,15 @@ def fused(clock: Clock, side: int) -> list[dict[str, Any]]:
     out: list[dict[str, Any]] = [{**row, "flop": 12.0 * numbers, "run": adam}]
     leaves = [x, base, directions, roughness, *weights, *biases, image, features, alpha, normal]
     leaves += [near, depth, radiance]
+    jobs["network by multiply-adds"] = jobs["network"]
     for name, (run, bytes_in, flop, bytes_back, flop_back) in jobs.items():
+        cuda_fused.TENSOR_CORES = "multiply-adds" not in name
         total = run().sum()
         back = lambda t=total: torch.autograd.grad(t, leaves, retain_graph=True, allow_unused=True)  # noqa: E731
         out.append({"what": name, "ms": clock.ms(run), "bytes": bytes_in, "flop": flop, "run": run})
         row = {"what": name + ", backward", "ms": clock.ms(back), "bytes": bytes_back}
         out.append({**row, "flop": flop_back, "run": back})
+    cuda_fused.TENSOR_CORES = True
     return out
 
 

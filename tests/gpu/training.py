@@ -23,6 +23,7 @@ sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parent.parent)]
 import scene as scenery  # noqa: E402
 
 from refdgs_pipe.metrics import psnr  # noqa: E402
+from refdgs_pipe.ops import cuda_fused  # noqa: E402
 from refdgs_pipe.training.render import render_image  # noqa: E402
 from refdgs_pipe.training.settings import TrainParams  # noqa: E402
 from refdgs_pipe.training.trainer import NEAR, Trainer  # noqa: E402
@@ -114,6 +115,9 @@ def main() -> int:
         figures.append(psnr(image, pixels[..., :3] / 255.0 * alpha + (1 - alpha)))
     steps_at_end = min(50, options.iterations)
     planned = step_times(trainer, options.device, steps_at_end)
+    cuda_fused.TENSOR_CORES = False
+    by_fma = step_times(trainer, options.device, steps_at_end)
+    cuda_fused.TENSOR_CORES = True
     trainer._read(all_of_them=True)
     trainer.plan = None
     waiting = step_times(trainer, options.device, steps_at_end)
@@ -129,6 +133,7 @@ def main() -> int:
         "seconds at step": seconds,
         "ms a step": 1e3 * train_s / max(1, steps),
         "ms a step at the end": planned,
+        "ms a step at the end, without tensor cores": by_fma,
         "ms a step at the end, waiting for every list": waiting,
         "test PSNR": float(np.mean(figures)),
         "train PSNR": trainer.psnr,

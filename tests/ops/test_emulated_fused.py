@@ -12,6 +12,7 @@ from ops import test_sph_mip as mips
 from torch import Tensor
 
 from refdgs_pipe import ops
+from refdgs_pipe.ops import cuda_fused
 from refdgs_pipe.ops.cuda_adam import adam_step
 
 
@@ -56,6 +57,12 @@ def test_image_loss_reads_any_strides_and_nothing_counts_for_nothing() -> None:
     alike(run)
 
 
+@pytest.fixture(params=[True, False], ids=["tensor cores", "multiply-adds"])
+def products(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cuda_fused, "TENSOR_CORES", request.param)
+
+
+@pytest.mark.usefixtures("products")
 @pytest.mark.parametrize("count", [0, 1, 63, 64, 200])
 @pytest.mark.parametrize("cap", [None, 0.5])
 def test_network(count: int, cap: float | None) -> None:
@@ -63,6 +70,7 @@ def test_network(count: int, cap: float | None) -> None:
     alike(lambda: networks.pulled(ops.mlp, x, *networks.network(), exp_cap=cap))
 
 
+@pytest.mark.usefixtures("products")
 @pytest.mark.parametrize(("inputs", "hidden", "outputs"), [(1, 1, 1), (32, 2, 4), (7, 4, 2)])
 def test_network_of_any_shape(inputs: int, hidden: int, outputs: int) -> None:
     net = networks.network(inputs, hidden, outputs)
@@ -163,6 +171,18 @@ def test_adam_is_torchs(dtype: torch.dtype) -> None:
         found = adam(dtype, ours)
     for a, b in zip(found, wanted, strict=True):
         torch.testing.assert_close(a, b, rtol=1e-6, atol=1e-7 if a.numel() else 0)
+
+
+def test_three_products_of_tf32_are_as_exact_as_floats() -> None:
+    """One such product alone is good to three digits; the CPU's floats are the measure."""
+    exact = networks.pulled(ops.mlp, networks.points(150), *networks.network())
+    single = networks.single(networks.points(150), networks.network())
+    usual = networks.pulled(ops.mlp, *single)
+    with emulated():
+        found = networks.pulled(ops.mlp, *single)
+    for a, b, c in zip(found, usual, exact, strict=True):
+        error, rounding = (float((v.double() - c).norm() / c.norm()) for v in (a, b))
+        assert error < 4 * rounding + 1e-7
 
 
 def test_floats_are_as_exact_as_the_cpu() -> None:
