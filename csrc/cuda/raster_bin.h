@@ -4,6 +4,7 @@
 //   project        reads 40 + 4 C, writes 4 stride (128 at 12 channels) + 20 a surfel: 29 MB, 7 us
 //   count, emit    read a record's head (80) twice; write 12 an entry: 28 MB, 7 us
 //   sort           (4 passes of 12 bytes in and out, 44 of 64 bits): 60 MB, 14 us; it is CUB's
+//   pad            8 an entry that is planned and not needed: 3 MB, 1 us; they are sorted too
 //   find_tiles     16 in, 8 out an entry: 14 MB, 3 us
 // Arithmetic is some 400 flop a surfel and 60 a tile: below 2 us. So all of it is bound by memory and launches.
 #pragma once

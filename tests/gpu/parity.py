@@ -28,7 +28,7 @@ sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parent.parent)]
 from cases import Case, camera, cases  # noqa: E402
 
 from refdgs_pipe import ops  # noqa: E402
-from refdgs_pipe.ops import Pinhole, Surfels, cuda_fused, rasterize  # noqa: E402
+from refdgs_pipe.ops import Pinhole, Plan, Surfels, cuda_fused, rasterize  # noqa: E402
 from refdgs_pipe.training.surfels import step_all  # noqa: E402
 
 LIMIT = 1e-4  # relative error by norm
@@ -66,8 +66,8 @@ def pulled(inputs: Named, run: Callable[[Named], Named]) -> Named:
     return {k: v.detach() for k, v in {**out, **grads}.items()}
 
 
-def drawing(case: Case) -> Run:
-    """The rasteriser on a case."""
+def drawing(case: Case, *, planned: bool = False) -> Run:
+    """The rasteriser on a case; planned: a second time, with room by what the first one needed."""
     made, features = case.make()
 
     def run(dtype: torch.dtype, device: str) -> Named:
@@ -79,7 +79,18 @@ def drawing(case: Case) -> Run:
         def draw(leaves: Named) -> Named:
             s = Surfels(*(leaves[f.name] for f in fields(Surfels)))
             posed = Pinhole(leaves["pose"], *list(vars(view).values())[1:])
-            maps = rasterize(s, leaves["features"], posed, extra=case.extra, normals=case.normals)  # type: ignore[arg-type]
+            plan = Plan(device) if planned else None
+            for _ in range(1 + planned):
+                if plan is not None:
+                    plan.begin()
+                maps = rasterize(
+                    s,
+                    leaves["features"],
+                    posed,
+                    extra=case.extra,
+                    normals=case.normals,
+                    plan=plan,  # type: ignore[arg-type]
+                )
             named = {f.name: getattr(maps, f.name) for f in fields(maps)}
             return {k: v for k, v in named.items() if isinstance(v, Tensor)}
 
@@ -131,7 +142,7 @@ def fused(*, small: bool) -> dict[str, Run]:
     tensors = {f"p{k}": random(points, 3) - 0.5 for k in range(34)}
 
     def adam(dtype: torch.dtype, device: str) -> Named:
-        leaves = {k: v.to(device, dtype).requires_grad_() for k, v in tensors.items()}
+        leaves = {k: v.to(device, dtype).clone().requires_grad_() for k, v in tensors.items()}
         made = torch.optim.Adam(leaves.values(), lr=0.01, eps=1e-15, fused=True)
         for turn in range(3):
             for k, leaf in leaves.items():
@@ -145,6 +156,7 @@ def fused(*, small: bool) -> dict[str, Run]:
         "network by multiply-adds": _without_tensor_cores(_plain(net, mlp)),
         "Sph-Mip": _plain(encoding, sph_mip),
         "Adam": adam,
+        "planned pixels": _planned(random),
         "shading": _shading((29, 37) if small else (217, 333), random),
     }
     return out | {f"image loss {w} x {h}": loss(h, w) for h, w in sizes}
@@ -152,6 +164,37 @@ def fused(*, small: bool) -> dict[str, Run]:
 
 def _plain(inputs: Named, run: Callable[[Named], Named]) -> Run:
     return lambda dtype, device: pulled({k: v.to(device, dtype) for k, v in inputs.items()}, run)
+
+
+def _planned(random: Callable[..., Tensor]) -> Run:
+    """Half of the pixels, shaded through lists with room to spare."""
+    height, width = 117, 133
+    inputs = {
+        "features": random(height, width, 4),
+        "alpha": random(height, width),
+        "normal": random(height, width, 3) - 0.5,
+        "map": random(64, 128, 4) - 0.5,
+        "w0": (random(64, 6) - 0.5) / 2, "b0": random(64) - 0.5,
+        "w1": (random(3, 64) - 0.5) / 2, "b1": random(3) - 0.5,
+    }  # fmt: skip
+    backdrop, view = random(3), camera(width, height)
+
+    def shade(p: Named) -> Named:
+        alpha, plan = p["alpha"], Plan(str(p["alpha"].device))
+        plan.begin()
+        pixels = ops.covered_pixels(alpha, 0.5, plan)
+        limit = plan.last() if len(pixels) and bool((pixels < 0).any()) else None
+        diffuse, roughness, reflected, cosine, _ = ops.shading_inputs(
+            p["features"], alpha, p["normal"], None, pixels, view
+        )
+        far = ops.sph_mip(p["map"], reflected, roughness, limit=limit)
+        x = torch.cat([far, roughness[:, None], cosine[:, None]], -1)
+        weights, biases = [p["w0"], p["w1"]], [p["b0"], p["b1"]]
+        radiance = ops.mlp(x, weights, biases, exp_cap=2.0, limit=limit)
+        image = ops.composite(diffuse, radiance, pixels, alpha, alpha, backdrop.to(alpha))
+        return {"image": image}
+
+    return _plain(inputs, shade)
 
 
 def _without_tensor_cores(run: Run) -> Run:
@@ -269,6 +312,7 @@ def main() -> int:
 
         device, on = "cpu", emulated
     jobs = {case.name: drawing(case) for case in cases(small=options.small)}
+    jobs["random, planned"] = drawing(cases(small=options.small)[0], planned=True)
     jobs |= fused(small=options.small)
     begin, rows, spent = time.monotonic(), [], 0.0
     if options.start:
