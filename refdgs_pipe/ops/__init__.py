@@ -2,17 +2,21 @@
 
 from refdgs_pipe.ops.image_loss import image_loss, ssim, ssim_map
 from refdgs_pipe.ops.mlp import mlp
+from refdgs_pipe.ops.plan import Later, Plan
 from refdgs_pipe.ops.rasterize import Maps, Pinhole, ScreenStatistics, Surfels, rasterize
-from refdgs_pipe.ops.shade import clip, composite, normal_agreement, shading_inputs
+from refdgs_pipe.ops.shade import clip, composite, covered_pixels, normal_agreement, shading_inputs
 from refdgs_pipe.ops.sph_mip import mip_levels, sph_mip
 
 __all__ = [
+    "Later",
     "Maps",
     "Pinhole",
+    "Plan",
     "ScreenStatistics",
     "Surfels",
     "clip",
     "composite",
+    "covered_pixels",
     "image_loss",
     "mip_levels",
     "mlp",

@@ -25,6 +25,7 @@ def mlp(
     exp_cap: float | None = None,
     half: bool = False,
     threads: int | None = None,
+    limit: Tensor | None = None,
 ) -> Tensor:
     """Hidden layers of 64 with ReLU, then a linear layer, then exp(min(y, exp_cap)) if asked for.
 
@@ -40,6 +41,8 @@ def mlp(
             twice as fast, good to about 3 digits. The first and the last layer's outputs are
             multiplied as they are. No difference for doubles, and none on a GPU.
         threads: default torch's; the result does not depend on it.
+        limit: (1,) int64 on a GPU: no more than the first that many rows are looked at there, and
+            what is made of the others has no meaning.
 
     Returns:
         (P, outputs)
@@ -50,7 +53,7 @@ def mlp(
     _check(x, weights, biases)
     if cuda.on_gpu(x):
         on_gpu: Tensor = cuda_fused.Mlp.apply(  # type: ignore[no-untyped-call]
-            x, exp_cap, *weights, *biases
+            x, exp_cap, limit, *weights, *biases
         )
         return on_gpu
     count = threads or torch.get_num_threads()

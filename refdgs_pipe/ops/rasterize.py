@@ -11,6 +11,7 @@ from torch import Tensor
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.errors import ShapeError
 from refdgs_pipe.ops import cuda
+from refdgs_pipe.ops.plan import Plan
 
 Extra = Literal["none", "depth", "distortion"]
 EXTRAS = {"none": 0, "depth": 1, "distortion": 2}  # as the native functions number them
@@ -132,6 +133,7 @@ def rasterize(
     extra: Extra = "none",
     normals: bool = False,
     threads: int | None = None,
+    plan: Plan | None = None,
 ) -> Maps:
     """Render surfels and their features, front to back (2D Gaussian Splatting, Huang et al. 2024).
 
@@ -145,6 +147,7 @@ def rasterize(
         features: (N, C) what to blend; C <= 20, or 17 with normals.
         extra: which of the depth maps to make.
         threads: default torch's; of the CPU.
+        plan: room for the tiles' lists on a GPU, which then nothing waits for.
 
     Raises:
         ShapeError: sizes or types that must agree do not.
@@ -154,7 +157,7 @@ def rasterize(
     if cuda.on_gpu(surfels.means):
         from refdgs_pipe.ops import cuda_rasterize
 
-        return cuda_rasterize.draw(surfels, features, camera, extra, normals)
+        return cuda_rasterize.draw(surfels, features, camera, extra, normals, plan)
     from refdgs_pipe.ops.native import draw
 
     return draw(surfels, features, camera, extra, normals, threads or torch.get_num_threads())

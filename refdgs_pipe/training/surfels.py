@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from refdgs_pipe.artifacts.surfel_field import SurfelSet
-from refdgs_pipe.ops import Surfels, reference
+from refdgs_pipe.ops import Surfels, cuda, reference
+from refdgs_pipe.ops.cuda_adam import adam_step
 
 _RESET_OPACITY = math.log(0.01 / 0.99)  # raw
 _EPSILON = 1e-15  # of Adam, as the method has it: gradients per surfel are tiny
@@ -58,9 +59,8 @@ class TrainableSet:
             if group["name"] == name:
                 group["lr"] = rate
 
-    def observe(self, gradients: Tensor, radii: Tensor) -> None:
-        """Add one view's screen gradients (N,) for the surfels it drew."""
-        seen = radii > 0
+    def observe(self, gradients: Tensor, seen: Tensor) -> None:
+        """Add one view's screen gradients (N,) for the surfels it drew, `seen` (N,) bool."""
         self.gradient_sum += torch.where(seen, gradients, 0.0)
         self.seen += seen
 
@@ -217,10 +217,21 @@ def densify(group: TrainableSet, rules: DensityRules, keep: Tensor, rng: torch.G
 
 
 def step_all(
-    groups: Iterable[TrainableSet | None], modules: Iterable[torch.optim.Optimizer]
+    groups: Iterable[TrainableSet | None],
+    modules: Iterable[torch.optim.Adam],
+    misfit: Tensor | None = None,
 ) -> None:
-    """One optimiser step of everything, gradients cleared."""
+    """One optimiser step of everything, gradients cleared.
+
+    Args:
+        misfit: () on a GPU; where it is 1 nothing changes.
+    """
     optimizers = [g.optimizer for g in groups if g is not None and len(g)]
-    for optimizer in [*optimizers, *modules]:
-        optimizer.step()
+    optimizers += modules
+    if optimizers and cuda.on_gpu(optimizers[0].param_groups[0]["params"][0]):
+        adam_step(optimizers, misfit)
+    else:
+        for optimizer in optimizers:
+            optimizer.step()
+    for optimizer in optimizers:
         optimizer.zero_grad(set_to_none=True)

@@ -5,6 +5,7 @@ import json
 import math
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +16,10 @@ from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.surfel_field import SurfelField
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.errors import Cancelled, TrainingError
-from refdgs_pipe.ops import image_loss, normal_agreement
+from refdgs_pipe.ops import Later, Plan, image_loss, normal_agreement
+from refdgs_pipe.ops.cuda import sent
 from refdgs_pipe.ops.native import keep_freed_memory
+from refdgs_pipe.ops.plan import Asked
 from refdgs_pipe.ops.rasterize import Extra
 from refdgs_pipe.training import losses
 from refdgs_pipe.training.checkpoint import read_checkpoint, write_checkpoint
@@ -25,6 +28,16 @@ from refdgs_pipe.training.field import TrainableField
 from refdgs_pipe.training.photos import TrainingPhoto, composited, load_training_photos, shrunk
 from refdgs_pipe.training.settings import TrainParams
 from refdgs_pipe.training.shading import Picture, draw
+
+
+@dataclass(frozen=True)
+class Moment:
+    """What makes a step what it is, so that it can be done again."""
+
+    iteration: int
+    photo: TrainingPhoto
+    backdrop: Tensor
+
 
 Progress = Callable[[int, int, str, float], None]  # step, steps, figures, share of the work
 CHECKPOINT_SECONDS = 30.0
@@ -72,7 +85,8 @@ class Trainer:
         self.iteration = 0
         self.loss, self.psnr = math.nan, math.nan
         self.curve: list[tuple[int, float, float]] = []
-        self._unread: list[tuple[int, Tensor]] = []  # steps with their loss and squared error
+        self.plan = None if device == "cpu" else Plan(device)
+        self._later: Later[tuple[Moment, Asked]] = Later(device)  # loss, squared error, needs
 
     def run(self, progress: Progress) -> SurfelField:
         """Train to the end, or until `progress` raises; a checkpoint is kept either way.
@@ -88,7 +102,6 @@ class Trainer:
             while self.iteration < total:
                 self.step()
                 if self.iteration % REPORT_STEPS == 0:
-                    self._read()
                     count = len(self.field.geometry)
                     note = f"loss {self.loss:.4f}  PSNR {self.psnr:.2f} dB  {count} surfels"
                     progress(self.iteration, total, note, self._work())
@@ -98,7 +111,7 @@ class Trainer:
         except Cancelled:
             self.save()
             raise
-        self._read()
+        self._read(all_of_them=True)
         return self.field.freeze()
 
     def coverage(self, field: SurfelField) -> float:
@@ -115,24 +128,40 @@ class Trainer:
 
     def step(self) -> None:
         """One photo, one gradient, one update."""
-        p, i = self.params, self.iteration
-        fraction = i / p.iterations
-        photo = self._photo(fraction)
-        self.field.set_rates(fraction)
+        p = self.params
+        photo = self._photo(self.iteration / p.iterations)
         backdrop = torch.rand(3, generator=self.rng) if self.masked else torch.zeros(3)
-        backdrop = backdrop.to(self.device)
+        self._update(Moment(self.iteration, photo, sent(backdrop, self.device)))
+        self.iteration += 1
+        adapts = self.field.adapts(self.iteration)
+        self._read(all_of_them=adapts)
+        if adapts:
+            self.field.adapt(self.iteration, self.rng)
+            if self.plan is not None:
+                self.plan.settle()
+
+    def _update(self, moment: Moment) -> None:
+        p, photo, plan = self.params, moment.photo, self.plan
+        fraction = moment.iteration / p.iterations
+        self.field.set_rates(fraction)
+        if plan is not None:
+            plan.begin()
         extra: Extra = "distortion" if p.distortion_weight > 0 else "depth"
-        picture = draw(
-            self.field.scene(photo.pinhole, fraction), photo.pinhole, backdrop, extra=extra
-        )
-        target = composited(photo, backdrop)
+        scene = self.field.scene(photo.pinhole, fraction)
+        picture = draw(scene, photo.pinhole, moment.backdrop, extra=extra, plan=plan)
+        target = composited(photo, moment.backdrop)
         loss = self._loss(picture, photo, target)
         loss.backward()  # type: ignore[no-untyped-call]
-        self._note(loss, picture.image, target)
-        self.field.observe(picture, photo.pinhole.width)
-        self.field.step()
-        self.iteration += 1
-        self.field.adapt(self.iteration, self.rng)
+        misfit = None if plan is None else plan.misfit
+        self.field.observe(picture, photo.pinhole.width, misfit)
+        self.field.step(misfit)
+        with torch.no_grad():
+            error = (picture.image - target).square().mean()
+        figures = torch.stack([loss.detach(), error])
+        if plan is None:
+            self._later.send((moment, []), figures)
+        else:
+            self._later.send((moment, plan.asked()), figures, plan.needed)
 
     def _photo(self, fraction: float) -> TrainingPhoto:
         """A random photo at the scale of this moment."""
@@ -162,32 +191,34 @@ class Trainer:
             loss = loss + p.distortion_weight * relative
         return loss
 
-    def _note(self, loss: Tensor, image: Tensor, target: Tensor) -> None:
-        """Keep the step's figures; on a GPU they are read later, so that nothing waits for them."""
-        with torch.no_grad():
-            error = (image - target).square().mean()
-        self._unread.append((self.iteration, torch.stack([loss.detach(), error])))
-        if self.device == "cpu":
-            self._read()
+    def _read(self, *, all_of_them: bool = False) -> None:
+        """Take in the figures of steps that are through, some steps later on a GPU.
 
-    def _read(self) -> None:
+        A step whose lists had no room has changed nothing, and is done again with more.
+        """
+        while arrived := self._later.arrived(all_of_them=all_of_them):
+            again = []
+            for (moment, asked), (figures, *needed) in arrived:
+                if self.plan is None or self.plan.learn(asked, *needed):
+                    self._note(moment.iteration, *figures.tolist())
+                else:
+                    again.append(moment)
+            for moment in again:
+                self._update(moment)
+
+    def _note(self, step: int, value: float, error: float) -> None:
         """Running figures; a loss that is not finite ends the run at the last good checkpoint."""
-        if not self._unread:
-            return
-        steps, figures = zip(*self._unread, strict=True)
-        self._unread.clear()
-        for step, (value, error) in zip(steps, torch.stack(figures).tolist(), strict=True):
-            if not math.isfinite(value):
-                raise TrainingError(
-                    f"training diverged at step {step + 1}: the loss is {value}. The last good "
-                    "checkpoint is kept; lower train.rate_means or change train.seed and run again"
-                )
-            psnr = -10 * math.log10(max(error, 1e-10))
-            keep = 0.98 if math.isfinite(self.loss) else 0.0
-            self.loss = value if not keep else keep * self.loss + (1 - keep) * value
-            self.psnr = psnr if not keep else keep * self.psnr + (1 - keep) * psnr
-            if step % 50 == 0:
-                self.curve.append((step, self.loss, self.psnr))
+        if not math.isfinite(value):
+            raise TrainingError(
+                f"training diverged at step {step + 1}: the loss is {value}. The last good "
+                "checkpoint is kept; lower train.rate_means or change train.seed and run again"
+            )
+        psnr = -10 * math.log10(max(error, 1e-10))
+        keep = 0.98 if math.isfinite(self.loss) else 0.0
+        self.loss = value if not keep else keep * self.loss + (1 - keep) * value
+        self.psnr = psnr if not keep else keep * self.psnr + (1 - keep) * psnr
+        if step % 50 == 0:
+            self.curve.append((step, self.loss, self.psnr))
 
     def _work(self) -> float:
         """The share of the run's time that should be behind, from what its phases cost."""
@@ -207,7 +238,7 @@ class Trainer:
 
     def save(self) -> None:
         """Write the checkpoint; an older one is replaced only when the new one is complete."""
-        self._read()
+        self._read(all_of_them=True)
         tensors = {**self.field.state(), "rng": self.rng.get_state()}
         figures = {"iteration": self.iteration, "loss": self.loss, "psnr": self.psnr}
         write_checkpoint(self.scratch, tensors, json.dumps({**figures, "curve": self.curve}))
