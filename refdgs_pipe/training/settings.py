@@ -132,7 +132,7 @@ class TrainParams(Params):
         description="normals need not agree where the depth bends by more pixel footprints",
     )
     distortion_weight: float = Field(
-        40.0,
+        4.0,
         ge=0,
         le=1e6,
         description="weight of the depth distortion, of 1 / depth in units of the nearest camera's",
