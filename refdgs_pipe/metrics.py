@@ -84,6 +84,28 @@ def nearest(points: F64, targets: F64) -> F64:
     return np.asarray(distances, np.float64)
 
 
+def scale_invariant_rmse(values: F32, truth: F32) -> float:
+    """Root mean square difference of (N, C) values to the truth, scaled by what fits it best.
+
+    One factor for all channels; of all values 0 it is 1. The unit is the truth's.
+    """
+    v, t = values.astype(np.float64), truth.astype(np.float64)
+    scale = float((v * t).sum() / max(float((v * v).sum()), 1e-30))
+    return float(np.sqrt(np.mean((scale * v - t) ** 2)))
+
+
+def rank_correlation(values: F64, truth: F64) -> float | None:
+    """Spearman's rank correlation of (N,) values, equal ones sharing their mean rank.
+
+    None where all values, or all truths, are equal.
+    """
+    from scipy.stats import rankdata
+
+    a, b = (rankdata(x) - (len(x) + 1) / 2 for x in (values, truth))
+    size = float(np.sqrt((a * a).sum() * (b * b).sum()))
+    return float((a * b).sum() / size) if size else None
+
+
 @dataclass(frozen=True)
 class SurfaceDistances:
     """How far two surfaces are from each other, sample by sample, in one unit of length.

@@ -1,9 +1,8 @@
 """Paint the mesh from the field: colour, roughness, metal and normals."""
 
-from typing import Literal
-
 from pydantic import Field, field_validator
 
+from refdgs_pipe.artifacts.appearance import Appearance
 from refdgs_pipe.artifacts.mesh import UvMesh
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.surfel_field import SurfelField
@@ -24,9 +23,6 @@ class BakeParams(Params):
         le=0.2,
         description="how far mesh and field may lie apart, in diameters of the object ball",
     )
-    metal: Literal["tell", "none"] = Field(
-        "tell", description="tell metal by the light it reflects, or make everything non-metal"
-    )
 
     @field_validator("size")
     @classmethod
@@ -36,9 +32,14 @@ class BakeParams(Params):
         return size
 
 
-@stage(version=2, programs=("open3d-cpu",))
+@stage(version=3, programs=("open3d-cpu",))
 def bake(
-    mesh: UvMesh, field: SurfelField, model: SparseModel, params: BakeParams, job: Job
+    mesh: UvMesh,
+    looks: Appearance,
+    field: SurfelField,
+    model: SparseModel,
+    params: BakeParams,
+    job: Job,
 ) -> TexturedMesh:
     """Gather what all cameras see of every texel, free of reflections."""
     from refdgs_pipe.texture.material import Painter
@@ -47,7 +48,7 @@ def bake(
     painter = Painter(mesh, params.size, tolerance=params.tolerance * 2 * model.ball.radius)
     for camera in job.track(model.cameras, "gathering texels"):
         painter.add(render_surface_map(field, camera, device=job.device, threads=job.threads))
-    textured = painter.paint(metal=params.metal == "tell")
+    textured = painter.paint(looks)
     job.measure("texture size", params.size, "px")
     job.measure("texels seen", round(painter.seen_share, 4))
     if painter.seen_share < 0.9:

@@ -1,9 +1,12 @@
 """Turn the fused mesh into one clean surface within a face budget."""
 
+from functools import partial
+
 from pydantic import Field
 
 from refdgs_pipe.artifacts.mesh import Mesh, RawMesh
 from refdgs_pipe.artifacts.sparse_model import SparseModel
+from refdgs_pipe.artifacts.surfel_field import SurfelField
 from refdgs_pipe.params import Params
 from refdgs_pipe.pipeline.stage import Job, stage
 
@@ -12,27 +15,28 @@ class CleanParams(Params):
     """Repair and simplification of the mesh."""
 
     floater: float = Field(
-        0.08,
-        ge=0,
-        le=1,
-        description="loose pieces smaller than this are removed, in diameters of the object ball",
+        0.08, ge=0, le=1, description="smaller loose pieces are removed, in ball diameters"
     )
     hole: float = Field(
-        0.15,
-        ge=0,
-        le=10,
-        description="holes with a rim up to this long are closed, in diameters of the object ball",
+        0.15, ge=0, le=10, description="holes with a shorter rim are closed, in ball diameters"
     )
     smoothing: int = Field(5, ge=0, le=200, description="smoothing steps (Taubin), a count")
+    outlines: int = Field(
+        3, ge=0, le=20, description="times that the mesh is fitted to the views' outlines, a count"
+    )
     faces: int = Field(
         50_000, ge=100, le=5_000_000, description="the most triangles the mesh may have, a count"
     )
 
 
-@stage(version=1, programs=("pymeshlab",))
-def clean(raw: RawMesh, model: SparseModel, params: CleanParams, job: Job) -> Mesh:
-    """Remove floaters, repair, close small holes, smooth, and simplify to the budget."""
+@stage(version=2, programs=("pymeshlab", "open3d-cpu"))
+def clean(
+    raw: RawMesh, field: SurfelField, model: SparseModel, params: CleanParams, job: Job
+) -> Mesh:
+    """Remove floaters, repair, close small holes, smooth, simplify, and fit to the outlines."""
     from refdgs_pipe.surface import cleanup
+    from refdgs_pipe.surface.silhouettes import fitted
+    from refdgs_pipe.training.render import render_surface_map
 
     diameter = 2 * model.ball.radius
     job.progress("cleaning", 0, None)
@@ -52,4 +56,5 @@ def clean(raw: RawMesh, model: SparseModel, params: CleanParams, job: Job) -> Me
     job.measure("open area", round(sum(r.area for r in done.rims), 4), "square world units")
     if removed.area_share > 0.2:
         job.warn(f"{removed.area_share:.0%} of the fused surface was loose pieces and is removed")
-    return mesh
+    draw = partial(render_surface_map, field, device=job.device, threads=job.threads)
+    return fitted(mesh, model, draw, rounds=params.outlines, track=job.track)

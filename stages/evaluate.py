@@ -5,11 +5,13 @@ from functools import partial
 
 from pydantic import Field
 
+from refdgs_pipe.artifacts.appearance import Appearance
 from refdgs_pipe.artifacts.capture import Capture
 from refdgs_pipe.artifacts.mesh import Mesh
 from refdgs_pipe.artifacts.scores import Scores
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.surfel_field import SurfelField
+from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.params import Params
 from refdgs_pipe.pipeline.stage import Job, stage
@@ -18,29 +20,28 @@ from refdgs_pipe.pipeline.stage import Job, stage
 class EvaluateParams(Params):
     """How the result is scored."""
 
-    max_side: int = Field(800, ge=32, le=8192, description="longest image side compared, in pixels")
+    max_side: int = Field(800, ge=32, le=8192, description="longest side compared, in pixels")
     lpips_weights: str = Field(
-        "",
-        max_length=4096,
-        description="safetensors file of LPIPS's network, a path; empty: none",
+        "", max_length=4096, description="LPIPS's network in safetensors, a path; empty: none"
     )
-    lpips_digest: str = Field(
-        "", max_length=64, description="hash of that file, as `eval --lpips-weights` finds it, hex"
-    )
+    lpips_digest: str = Field("", max_length=64, description="hash of that file, as eval finds it")
 
 
-@stage(version=2, programs=("open3d-cpu", "scipy"))
+@stage(version=3, programs=("open3d-cpu", "scipy"))
 def evaluate(
     capture: Capture,
     views: Views,
     model: SparseModel,
     field: SurfelField,
     mesh: Mesh,
+    textured: TexturedMesh,
+    looks: Appearance,
     params: EvaluateParams,
     job: Job,
 ) -> Scores:
-    """Score every held-out view (all, if none was held out) and the clean mesh."""
+    """Score every held-out view (all, if none was held out), the clean mesh and its textures."""
     from refdgs_pipe.evaluation.lpips import load_lpips
+    from refdgs_pipe.evaluation.relight import relit
     from refdgs_pipe.evaluation.scoring import Drawing, Protocol, Subject, score
     from refdgs_pipe.evaluation.speed import Timed
     from refdgs_pipe.training.render import render_image, render_surface_map
@@ -48,13 +49,12 @@ def evaluate(
     picture = Timed(partial(render_image, field, device=job.device, threads=job.threads))
     maps = partial(render_surface_map, field, device=job.device, threads=job.threads)
     lpips = load_lpips(params.lpips_weights, params.lpips_digest)
-    root = capture.layout().root
     protocol = Protocol(params.max_side, lpips, lambda c: job.track(c, "comparing views"))
-    scores = score(Subject(views, model, mesh, root), Drawing(picture, maps), protocol)
+    subject = Subject(views, model, mesh, capture.layout().root, textured)
+    scores = score(subject, Drawing(picture, maps, relit(textured, looks)), protocol)
     for name, value, unit in scores.headlines():
         job.measure(name, value, unit)
-    width, height = picture.size
     job.measure("render rate", round(picture.per_second, 2), "views/s")
-    job.measure("rendered", f"{width} x {height} on {job.device}, threads: {job.threads}")
+    job.measure("rendered", f"{picture.told} on {job.device}, threads: {job.threads}")
     parts = {"geometry": field.geometry, "local": field.local, "background": field.background}
     return replace(scores, surfels={name: len(part) for name, part in parts.items()})

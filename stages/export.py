@@ -2,6 +2,7 @@
 
 from pydantic import Field
 
+from refdgs_pipe.artifacts.appearance import Appearance
 from refdgs_pipe.artifacts.asset import Asset
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.surfel_field import SurfelField
@@ -25,9 +26,10 @@ class ExportParams(Params):
     recipe: str = Field("", max_length=200, description="name to note; empty: the recipe's own")
 
 
-@stage(version=2, programs=("usd-core",))
+@stage(version=3, programs=("usd-core",))
 def export(
     textured: TexturedMesh,
+    looks: Appearance,
     field: SurfelField,
     model: SparseModel,
     views: Views,
@@ -37,9 +39,8 @@ def export(
     """Write GLB, USDC, USDZ, OBJ, splats, the surroundings and a preview picture."""
     from refdgs_pipe.export.about import about_asset
     from refdgs_pipe.export.files import Surroundings, writers
-    from refdgs_pipe.export.frame import AssetFrame, latlong_directions
+    from refdgs_pipe.export.frame import AssetFrame, latlong_light
     from refdgs_pipe.export.product import product, scale_of
-    from refdgs_pipe.training.environment import mirrored_light
 
     scale, told = scale_of(textured.mesh, known=model.metres_per_unit, longest=params.longest)
     if told == "unknown":
@@ -47,7 +48,7 @@ def export(
     about = about_asset(params.recipe, (v.source or v.name for v in views.items), scale, told)
     done = product(textured, up=model.up, metres_per_unit=scale, about=about)
     frame = AssetFrame.of(model.up, scale)
-    light = mirrored_light(field, frame.to_world(latlong_directions(params.environment)))
+    light = latlong_light(frame, looks.environment, params.environment)
     around = Surroundings(frame, light, model.cameras, field.geometry)
     for write in job.track(writers(around, preview=params.preview), "writing files"):
         write(job.folder, done)

@@ -21,7 +21,7 @@ class UnwrapParams(Params):
     )
 
 
-@stage(version=2, programs=("open3d-cpu", "xatlas"))
+@stage(version=3, programs=("open3d-cpu", "xatlas"))
 def unwrap(mesh: Mesh, params: UnwrapParams, job: Job) -> UvMesh:
     """Give every face its place in the atlas."""
     from refdgs_pipe.texture import charts

@@ -10,6 +10,7 @@ import numpy as np
 from painted import textured
 from scenes import orbit
 
+from refdgs_pipe.artifacts.appearance import Appearance
 from refdgs_pipe.artifacts.asset import Asset
 from refdgs_pipe.artifacts.mesh import Mesh, RawMesh
 from refdgs_pipe.artifacts.scores import Scores, ViewScore
@@ -93,6 +94,16 @@ def field() -> SurfelField:
     return SurfelField(geometry, none, none, shader, near=0.05)
 
 
+def appearance(points: np.ndarray, *, received: float = 1.0) -> Appearance:
+    """Plain plastic under white light, for these vertices."""
+    ones = np.ones(len(points), np.float32)
+    wide = np.ones((len(points), 3), np.float32)
+    light = np.full((16, 32, 3), received, np.float32)
+    return Appearance(
+        points, 0.3 * ones, 0 * ones, wide, ones, wide * np.float32(received), ones, light
+    )
+
+
 def asset(folder: Path) -> Asset:
     """The exported files of a small textured ball."""
     made = product(textured(64), up=UP, metres_per_unit=0.1)
@@ -112,6 +123,7 @@ def steps(store: Store, *, until: str = "evaluate", warning: str = "") -> list[S
         "train": lambda folder: field(),
         "extract": lambda folder: RawMesh(mesh.mesh.vertices, mesh.mesh.faces),
         "clean": lambda folder: Mesh(mesh.mesh.vertices, mesh.mesh.faces),
+        "appearance": lambda folder: appearance(mesh.mesh.vertices),
         "unwrap": lambda folder: mesh.mesh,
         "bake": lambda folder: mesh,
         "export": asset,

@@ -28,6 +28,7 @@ def textured(size: int = 256) -> TexturedMesh:
         base_color=texture(srgb_from_linear(waves(points).astype(np.float32))),
         roughness=texture(0.2 + 0 * points[:, 0]),
         metallic=texture((points[:, 2] > 1).astype(np.float32)),
+        occlusion=texture(np.full(len(points), 0.9)),
         normal=texture(flat),
         confidence=texture(np.ones(len(points))),
     )

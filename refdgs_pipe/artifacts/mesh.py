@@ -19,6 +19,17 @@ class TriangleMesh:
     vertices: NDArray[np.float32]
     faces: NDArray[np.int32]
 
+    def vertex_normals(self) -> NDArray[np.float32]:
+        """(V, 3) unit normals, faces weighted by their area."""
+        a, b, c = (self.vertices[self.faces[:, i]].astype(np.float64) for i in range(3))
+        weighted = np.cross(b - a, c - a)
+        total = np.zeros((len(self.vertices), 3))
+        for i in range(3):
+            np.add.at(total, self.faces[:, i], weighted)
+        length = np.linalg.norm(total, axis=1, keepdims=True)
+        unit = np.where(length > 0, total / np.maximum(length, 1e-30), [0.0, 0.0, 1.0])
+        return unit.astype(np.float32)
+
     def save(self, folder: Path) -> None:
         write_mesh(folder / "mesh.ply", self.vertices, self.faces)
 

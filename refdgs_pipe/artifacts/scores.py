@@ -19,6 +19,7 @@ class ViewScore:
         normal_mae_foreground_deg: mean angle in degrees over the object's pixels.
         depth_mae: mean absolute difference of depth, world units, where both have a surface.
         alpha_iou: intersection over union of the masks alpha >= 0.5.
+        relit_psnr: dB; of the textured mesh in its own environment instead of the field.
     """
 
     name: str
@@ -30,6 +31,7 @@ class ViewScore:
     normal_mae_foreground_deg: float | None = None
     depth_mae: float | None = None
     alpha_iou: float | None = None
+    relit_psnr: float | None = None
 
 
 VIEW_FIGURES = tuple(name for name in ViewScore.__dataclass_fields__ if name != "name")
@@ -60,12 +62,49 @@ class SurfaceScore:
 
 
 @dataclass(frozen=True)
+class PartScore:
+    """One part of the object whose true material is known.
+
+    Args:
+        texels: how many of it were compared.
+        roughness, metallic: medians of its texels; true_roughness, true_metallic: of the truth.
+        roughness_mae: mean absolute difference.
+        metallic_right: share of its texels on the right side of one half.
+    """
+
+    name: str
+    texels: int
+    roughness: float
+    true_roughness: float
+    roughness_mae: float
+    metallic: float
+    true_metallic: float
+    metallic_right: float
+
+
+@dataclass(frozen=True)
+class MaterialScore:
+    """The textures against the true materials, over the texels that the views' pixels show.
+
+    Args:
+        base_color_rmse: linear RGB, scale-invariant.
+        roughness_rank: Spearman's correlation with the truth over the parts; None: all alike.
+        metallic_right: share of all texels on the right side of one half.
+    """
+
+    base_color_rmse: float
+    roughness_rank: float | None
+    metallic_right: float
+    parts: tuple[PartScore, ...]
+
+
+@dataclass(frozen=True)
 class Scores:
     """All scored views, and the surface.
 
     Args:
         split: "test" for held-out views; "train" when none was held out.
-        surface: None when there is no truth to compare with.
+        surface, materials: None when there is no truth to compare with.
         surfels: part of the field -> how many it has.
         notes: figure -> why it was not computed, or what it leaves out.
     """
@@ -75,6 +114,7 @@ class Scores:
     surface: SurfaceScore | None = None
     surfels: dict[str, int] = field(default_factory=dict)
     notes: dict[str, str] = field(default_factory=dict)
+    materials: MaterialScore | None = None
 
     def mean(self, figure: str) -> float | None:
         """The mean of one of VIEW_FIGURES over the views that have it; None if none has."""
@@ -102,8 +142,20 @@ class Scores:
             (f"SSIM of {kind} views", self.mean("ssim"), 4, ""),
             ("normal error", self.mean("normal_mae_deg"), 2, "degrees, all pixels"),
             ("Chamfer distance", chamfer, 3, "% of the diagonal"),
+            ("PSNR of the relit asset", self.mean("relit_psnr"), 2, "dB"),
+            *self._material_headlines(),
         ]
         return [(name, round(v, digits), unit) for name, v, digits, unit in found if v is not None]
+
+    def _material_headlines(self) -> list[tuple[str, float | None, int, str]]:
+        found = self.materials
+        if found is None:
+            return []
+        return [
+            ("base colour error", found.base_color_rmse, 4, "linear, scale-invariant RMSE"),
+            ("roughness rank correlation", found.roughness_rank, 3, ""),
+            ("metal told right", found.metallic_right, 3, "share of the texels"),
+        ]
 
     def record(self) -> dict[str, Any]:
         """Everything as JSON has it, with the means and percentages that `load` leaves out."""
@@ -119,6 +171,7 @@ class Scores:
             "split": self.split,
             "mean": {name: self.mean(name) for name in VIEW_FIGURES},
             "surface": surface,
+            "materials": None if self.materials is None else asdict(self.materials),
             "surfels": self.surfels,
             "notes": self.notes,
             "views": [asdict(view) for view in self.views],
@@ -142,6 +195,12 @@ class Scores:
                 known = {name: surface[name] for name in SurfaceScore.__dataclass_fields__}
                 surface = SurfaceScore(**known)
             views = tuple(ViewScore(**view) for view in record["views"])
-            return cls(record["split"], views, surface, record["surfels"], record["notes"])
+            materials = record["materials"]
+            if materials is not None:
+                parts = tuple(PartScore(**part) for part in materials["parts"])
+                materials = MaterialScore(**{**materials, "parts": parts})
+            return cls(
+                record["split"], views, surface, record["surfels"], record["notes"], materials
+            )
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             raise CorruptError(f"{folder / 'scores.json'}: {error}") from None

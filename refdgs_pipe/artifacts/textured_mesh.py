@@ -17,6 +17,7 @@ _COLOR_SPACES = {
     "base_color": "sRGB",
     "roughness": "linear",
     "metallic": "linear",
+    "occlusion": "linear",
     "normal": "linear, tangent space, n * 0.5 + 0.5, green up (glTF)",
     "confidence": "linear",
 }
@@ -32,6 +33,7 @@ class TexturedMesh:
         base_color: (S, S, 3) sRGB-encoded: diffuse colour, or the reflectance of metals.
         roughness: (S, S) linear; square root of the GGX alpha, as in glTF and USD.
         metallic: (S, S) linear.
+        occlusion: (S, S) linear; 1 where nothing of the object is in front of the surface.
         normal: (S, S, 3) tangent space, n * 0.5 + 0.5.
         confidence: (S, S) linear; 0 where no camera saw the surface and colours are filled in.
     """
@@ -41,6 +43,7 @@ class TexturedMesh:
     base_color: U16
     roughness: U16
     metallic: U16
+    occlusion: U16
     normal: U16
     confidence: U16
 

@@ -2,7 +2,8 @@
 
 Known layouts, of which any part may be missing:
 
-* our scenes: r_0_normal.png, r_0_depth.npz beside r_0.png; gt_mesh.ply in the data set's folder;
+* our scenes: r_0_normal.png, r_0_depth.npz, r_0_albedo.png beside r_0.png; gt_mesh.ply and
+  materials.json in the data set's folder;
 * Shiny Blender: r_0_normal.png, r_0_alpha.png;
 * Glossy Synthetic (NeRO): 0-depth.png beside 0.png or in ../depth; eval_pts.ply.
 """
@@ -20,6 +21,7 @@ class TruthFiles:
     normal: Path | None
     depth: Path | None
     alpha: Path | None
+    albedo: Path | None
 
 
 @dataclass(frozen=True)
@@ -28,6 +30,7 @@ class SceneTruthFiles:
 
     mesh: Path | None
     points: Path | None
+    materials: Path | None
 
 
 def view_truth_files(photo: Path) -> TruthFiles:
@@ -43,21 +46,23 @@ def view_truth_files(photo: Path) -> TruthFiles:
         normal=_first(beside / f"{stem}_normal.png"),
         depth=_first(*depths),
         alpha=_first(beside / f"{stem}_alpha.png"),
+        albedo=_first(beside / f"{stem}_albedo.png"),
     )
 
 
 def scene_truth_files(root: Path) -> SceneTruthFiles:
     """What lies in the folder of a data set."""
-    return SceneTruthFiles(_first(root / "gt_mesh.ply"), _first(root / "eval_pts.ply"))
+    names = ("gt_mesh.ply", "eval_pts.ply", "materials.json")
+    return SceneTruthFiles(*(_first(root / name) for name in names))
 
 
 def all_truth_files(root: Path, photos: Iterable[Path]) -> set[Path]:
     """Every file of ground truth that belongs to a data set with these photos."""
     scene = scene_truth_files(root)
-    found = {scene.mesh, scene.points}
+    found = {scene.mesh, scene.points, scene.materials}
     for photo in photos:
         files = view_truth_files(photo)
-        found |= {files.normal, files.depth, files.alpha}
+        found |= {files.normal, files.depth, files.alpha, files.albedo}
     return {path for path in found if path is not None}
 
 

@@ -23,6 +23,12 @@ VIEW_ROWS = {
     "normal_mae_foreground_deg": ("normal error", "degrees", 2, "the object's pixels"),
     "depth_mae": ("depth error", "units", 5, "where both have a surface"),
     "alpha_iou": ("alpha IoU", "", 4, ""),
+    "relit_psnr": ("PSNR, relit", "dB", 2, "of the textured mesh in its own light"),
+}
+MATERIAL_ROWS = {
+    "base_color_rmse": ("base colour", 4, "linear, scale-invariant RMSE"),
+    "roughness_rank": ("roughness order", 3, "rank correlation over the parts"),
+    "metallic_right": ("metal", 3, "share of the texels told right"),
 }
 SURFACE_ROWS = {
     "paper_chamfer": ("Chamfer distance", "the paper's: points seen"),
@@ -82,6 +88,7 @@ def describe(record: dict[str, Any]) -> str:
         rows.append(_row("Chamfer distance", None, "", 0, "", notes.get("surface")))
     else:
         rows += _surface_rows(surface, notes)
+    rows += _material_rows(scores["materials"], notes)
     rate = speed["views_per_second"]
     rows.append(_row("render rate", rate, "views/s", 2, speed["rendered"] or "", None))
     surfels = ", ".join(f"{count} {name}" for name, count in scores["surfels"].items())
@@ -100,6 +107,24 @@ def _surface_rows(surface: dict[str, Any], notes: dict[str, str]) -> list[tuple[
     for figure, part in (("f_score_half_percent", "0.5 %"), ("f_score_one_percent", "1 %")):
         words = f"share within {part} of the diagonal"
         rows.append(_row("F-score", surface[figure], "", 4, words, notes.get("chamfer")))
+    return rows
+
+
+def _material_rows(
+    found: dict[str, Any] | None, notes: dict[str, str]
+) -> list[tuple[str, str, str]]:
+    if found is None:
+        return [_row("materials", None, "", 0, "", notes.get("materials"))]
+    rows = [
+        _row(label, found[figure], "", digits, remark, None)
+        for figure, (label, digits, remark) in MATERIAL_ROWS.items()
+    ]
+    for part in found["parts"]:
+        words = (
+            f"truth {part['true_roughness']:.2f}, error {part['roughness_mae']:.2f}; "
+            f"metal {part['metallic_right']:.0%} right, truth {part['true_metallic']:.0f}"
+        )
+        rows.append((f"  {part['name']}", f"roughness {part['roughness']:.2f}", words))
     return rows
 
 

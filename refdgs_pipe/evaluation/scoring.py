@@ -11,17 +11,27 @@ from numpy.typing import NDArray
 
 from refdgs_pipe.artifacts.mesh import TriangleMesh
 from refdgs_pipe.artifacts.photos import Photo, load_photo
-from refdgs_pipe.artifacts.scores import VIEW_FIGURES, Scores, SurfaceScore, ViewScore
+from refdgs_pipe.artifacts.scores import (
+    VIEW_FIGURES,
+    MaterialScore,
+    Scores,
+    SurfaceScore,
+    ViewScore,
+)
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.surface_map import SurfaceMap
+from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
 from refdgs_pipe.artifacts.truth import scene_truth_files, view_truth_files
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.errors import InputError
+from refdgs_pipe.evaluation.materials import score_materials
 from refdgs_pipe.evaluation.surface import score_surface
 from refdgs_pipe.evaluation.truth import (
     ViewTruth,
+    read_material_truth,
     read_true_mesh,
+    read_true_parts,
     read_true_points,
     read_view_truth,
 )
@@ -53,10 +63,13 @@ class Drawing:
     Args:
         picture: the (H, W, 3) sRGB picture in [0, 1] over white that a camera takes.
         maps: what it sees of the surface.
+        relit: the textured mesh in its own light: (H, W, 3) sRGB, not premultiplied, and (H, W)
+            coverage; None where there is no light.
     """
 
     picture: Callable[[Camera], F32]
     maps: Callable[[Camera], SurfaceMap]
+    relit: Callable[[Camera], tuple[F32, F32]] | None = None
 
 
 @dataclass(frozen=True)
@@ -66,12 +79,14 @@ class Subject:
     Args:
         root: the folder that the sources of the views are relative to; truth lies in it.
         mesh: in the world frame of `model`.
+        textured: the same with its textures, if they are scored too.
     """
 
     views: Views
     model: SparseModel
     mesh: TriangleMesh
     root: Path
+    textured: TexturedMesh | None = None
 
     @property
     def no_truth(self) -> str | None:
@@ -126,7 +141,11 @@ def score(subject: Subject, drawing: Drawing, protocol: Protocol) -> Scores:
         notes["surface"] = why
     elif surface is not None and surface.chamfer is None:
         notes["chamfer"] = "no gt_mesh.ply in the data set, only points"
-    return Scores("test" if held_out else "train", tuple(views), surface, notes=notes)
+    materials, why = _score_materials(subject, held_out or cameras)
+    if why is not None:
+        notes["materials"] = why
+    split = "test" if held_out else "train"
+    return Scores(split, tuple(views), surface, materials=materials, notes=notes)
 
 
 def _score_view(
@@ -137,6 +156,7 @@ def _score_view(
     image, target = drawing.picture(photo.camera), _over_white(photo)
     keep = photo.valid[..., None]
     image, target = np.where(keep, image, 0), np.where(keep, target, 0)
+    relit = None if drawing.relit is None else _relit_psnr(photo, image, drawing.relit)
     similarity = ssim_map(_tensor(image), _tensor(target)).numpy()
     seen, wanted = image[photo.valid], target[photo.valid]
     return ViewScore(
@@ -145,8 +165,42 @@ def _score_view(
         psnr_per_channel=psnr_per_channel(seen, wanted),
         ssim=float(similarity[photo.valid].mean()),
         lpips=None if protocol.lpips is None else protocol.lpips(image, target),
+        relit_psnr=relit,
         **_true_figures(subject, camera, drawing, protocol.longest),
     )
+
+
+def _relit_psnr(photo: Photo, image: F32, relit: Callable[[Camera], tuple[F32, F32]]) -> float:
+    """PSNR of the relit asset: over white where the photo is, else over the field's own picture."""
+    drawn, alpha = relit(photo.camera)
+    behind = image if photo.mask is None else np.float32(1)
+    over = drawn * alpha[..., None] + behind * (1 - alpha[..., None])
+    return psnr(over[photo.valid], _over_white(photo)[photo.valid])
+
+
+def _score_materials(
+    subject: Subject, cameras: list[Camera]
+) -> tuple[MaterialScore | None, str | None]:
+    """The textures' score, or why there is none."""
+    if subject.textured is None:
+        return None, "the textures are not scored"
+    if subject.no_true_maps:
+        return None, subject.no_true_maps
+    listed = scene_truth_files(subject.root).materials
+    if listed is None:
+        return None, "no materials.json in the data set"
+    parts = read_true_parts(listed)
+    pairs = []
+    for camera in cameras:
+        source = subject.root / subject.views[camera.name].source
+        if not source.is_file():
+            continue
+        truth = read_material_truth(view_truth_files(source), list(parts))
+        if truth is not None:
+            height, width = truth.depth.shape
+            pairs.append((camera.resized(width, height), truth))
+    found = score_materials(subject.textured, pairs, list(parts.values()))
+    return found, None if found else "no NAME_albedo.png beside the photos, or nothing to see"
 
 
 def _true_figures(
@@ -222,6 +276,8 @@ def _notes(views: list[ViewScore], no_truth: str | None, *, lpips: bool) -> dict
             continue
         if figure == "lpips":
             notes[figure] = "no weights given (--lpips-weights)" if not lpips else "no view"
+        elif figure == "relit_psnr":
+            notes[figure] = "the field has no reflections, so there is no light to draw with"
         elif known:
             notes[figure] = f"{known} of {len(views)} views have a {_SOURCES[figure]}"
         else:

@@ -31,6 +31,11 @@ class Timed:
         return picture
 
     @property
+    def told(self) -> str:
+        """Width and height of the last picture, in words."""
+        return "{} x {}".format(*self.size)
+
+    @property
     def per_second(self) -> float:
         """Views per second: one over the median time; 0 before the first."""
         return 1 / max(statistics.median(self._seconds), 1e-9) if self._seconds else 0.0

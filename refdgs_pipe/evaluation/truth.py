@@ -1,5 +1,6 @@
 """Ground truth that came with a data set, decoded. Nothing in it is executed or unpickled."""
 
+import json
 import zipfile
 import zlib
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from refdgs_pipe.artifacts.mesh import TriangleMesh
 from refdgs_pipe.artifacts.truth import TruthFiles
+from refdgs_pipe.color import linear_from_srgb
 from refdgs_pipe.errors import CaptureError, CorruptError, InputError
 from refdgs_pipe.files.images import read_photo, read_png
 from refdgs_pipe.files.ply import read_mesh, read_ply
@@ -44,6 +46,31 @@ class ViewTruth:
         maps = (self.normal, self.depth, self.alpha)
         shape = next((values.shape for values in maps if values is not None), None)
         return None if shape is None else (shape[1], shape[0])
+
+
+@dataclass(frozen=True)
+class TruePart:
+    """A part of the object: its name, and 1 for metal, 0 for anything else."""
+
+    name: str
+    metallic: float
+
+
+@dataclass(frozen=True)
+class MaterialTruth:
+    """The materials that one view should show, (H, W[, 3]).
+
+    Args:
+        depth: float32 camera z in world units.
+        part: int64 number of the part in the list of parts; -1 where there is none.
+        albedo: float32 linear: base colour, of metals the reflectance.
+        roughness: float32: the square root of the GGX alpha; 1 for matte.
+    """
+
+    depth: F32
+    part: NDArray[np.int64]
+    albedo: F32
+    roughness: F32
 
 
 def read_view_truth(files: TruthFiles) -> ViewTruth:
@@ -106,6 +133,47 @@ def read_true_points(path: Path) -> F64:
     if not np.isfinite(points).all():
         raise CorruptError(f"{path}: holds points that are not finite")
     return points
+
+
+def read_true_parts(path: Path) -> dict[int, TruePart]:
+    """The parts of the object by their ids, from materials.json.
+
+    Raises:
+        CorruptError: it is damaged.
+    """
+    try:
+        records = json.loads(path.read_text("utf-8"))
+        return {
+            int(r["object_id"]): TruePart(str(r["name"]), float(r["metallic"])) for r in records
+        }
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise CorruptError(f"{path}: expected a list of materials ({error})") from None
+
+
+def read_material_truth(files: TruthFiles, ids: list[int]) -> MaterialTruth | None:
+    """The true materials of one photo; None if it came without.
+
+    Args:
+        ids: of the parts, in their order.
+
+    Raises:
+        CorruptError: a file is damaged, or the files differ in size.
+    """
+    if files.albedo is None or files.depth is None or files.depth.suffix != ".npz":
+        return None
+    depth = _read_depth(files.depth)
+    with np.load(files.depth, allow_pickle=False) as data:
+        if not {"object_id", "alpha_ggx"} <= set(data.files):
+            return None
+        numbers, alpha = data["object_id"], data["alpha_ggx"]
+    albedo = _unit(read_png(files.albedo))
+    if albedo.ndim != 3 or not albedo.shape[:2] == depth.shape == numbers.shape == alpha.shape:
+        raise CorruptError(f"{files.albedo}: not a colour picture of {files.depth.name}'s size")
+    part = np.full(depth.shape, -1, np.int64)
+    for place, number in enumerate(ids):
+        part[(numbers == number) & (depth > 0)] = place
+    roughness = np.sqrt(alpha.astype(np.float32) / np.float32(255))
+    return MaterialTruth(depth, part, linear_from_srgb(albedo[..., :3]), roughness)
 
 
 def _read_normal(path: Path) -> tuple[F32, Mask | None]:

@@ -67,6 +67,7 @@ def textures(folder: Path, product: Product) -> None:
         ("base_color.jpg", jpeg(product.base_color)),
         ("roughness.png", png(product.roughness)),
         ("metallic.png", png(product.metallic)),
+        ("occlusion.png", png(product.occlusion)),
         ("normal.png", png(product.normal)),
     ):
         (folder / _TEXTURES / name).write_bytes(content)
@@ -101,7 +102,7 @@ def usdz(folder: Path, product: Product) -> None:
         ExportError: it did not pass its check.
     """
     path = folder / "asset.usdz"
-    names = ["base_color.jpg", "roughness.png", "normal.png"]
+    names = ["base_color.jpg", "roughness.png", "occlusion.png", "normal.png"]
     names += ["metallic.png"] if product.has_metal else []
     write_usdz(path, folder / "asset.usdc", [folder / _TEXTURES / name for name in names])
     require(path, usd_faults(path))

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from refdgs_pipe.geometry import y_up_from_z_up
+from refdgs_pipe.light import looked_up
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -40,6 +41,17 @@ class AssetFrame:
     def to_world(self, directions: F32 | F64) -> F64:
         """(..., 3) directions of the asset, in the world."""
         return np.asarray(directions @ self.turn, np.float64)
+
+
+def latlong_light(frame: AssetFrame, light: F32 | None, height: int) -> F32 | None:
+    """(height, 2 height, 3) the world's light, laid out as `latlong_directions` says.
+
+    Args:
+        light: laid out as `refdgs_pipe.light` says; None stays None.
+    """
+    if light is None:
+        return None
+    return looked_up(light, frame.to_world(latlong_directions(height)))
 
 
 def latlong_directions(height: int) -> F64:

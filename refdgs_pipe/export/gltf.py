@@ -31,12 +31,10 @@ def write_glb(path: Path, product: Product, *, generator: str) -> None:
         "TEXCOORD_0": chunk.accessor(product.uv, "VEC2", _VERTICES),
     }
     faces = chunk.accessor(indices.astype(np.uint16 if is_small else np.uint32), "SCALAR", _INDICES)
-    rough_metal = np.stack(  # occlusion would be red: none
-        [np.full_like(product.roughness, 255), product.roughness, product.metallic], -1
-    )
+    packed = np.stack([product.occlusion, product.roughness, product.metallic], -1)
     images = [
         chunk.image("base_color", jpeg(product.base_color), "image/jpeg"),
-        chunk.image("metallic_roughness", png(rough_metal), "image/png"),
+        chunk.image("occlusion_roughness_metallic", png(packed), "image/png"),
         chunk.image("normal", png(product.normal), "image/png"),
     ]
     primitive = {"attributes": attributes, "indices": faces, "material": 0, "mode": 4}
@@ -76,6 +74,7 @@ def _material(product: Product) -> dict[str, Any]:
             "roughnessFactor": 1.0,
         },
         "normalTexture": {"index": 2},
+        "occlusionTexture": {"index": 1},
     }
 
 

@@ -1,12 +1,12 @@
 """A picture of the product from three sides, in a simple studio: what it will look like in use."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from refdgs_pipe.color import linear_from_srgb, srgb_from_linear
 from refdgs_pipe.export.product import Product
+from refdgs_pipe.light import reflected_share
+from refdgs_pipe.tracing import Hits, Solid
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -26,21 +26,6 @@ _BOXES = (
 )
 
 
-@dataclass(frozen=True)
-class Hits:
-    """The rays that met the object.
-
-    Args:
-        pixels: (N,) which rays; face: (N,) what they met; weights: (N, 3) of its corners.
-        distance: (N,) along the rays, metres.
-    """
-
-    pixels: NDArray[np.int64]
-    face: NDArray[np.uint32]
-    weights: F32
-    distance: F32
-
-
 def render_preview(product: Product, *, side: int = 480) -> U8:
     """(side, 3 * side, 3) sRGB picture: three views, evenly around the object."""
     import cv2
@@ -57,26 +42,13 @@ def _view(product: Product, azimuth: float, side: int) -> F32:
     origin, rays = rays_around(product, azimuth, side)
     hits = cast(product, origin, rays)
     backdrop = linear_from_srgb(np.full((side * side, 3), _BACKDROP, np.float32))
-    backdrop[hits.pixels] = shade(product, hits, -rays[hits.pixels])
+    backdrop[hits.rays] = shade(product, hits, -rays[hits.rays])
     return backdrop.reshape(side, side, 3)
 
 
 def cast(product: Product, origin: F32, rays: F32) -> Hits:
     """What unit rays (N, 3) from one point meet first."""
-    import open3d as o3d
-
-    scene = o3d.t.geometry.RaycastingScene()
-    scene.add_triangles(
-        o3d.core.Tensor.from_numpy(product.vertices),
-        o3d.core.Tensor.from_numpy(product.faces.astype(np.uint32)),
-    )
-    both = np.concatenate([np.broadcast_to(origin, rays.shape), rays], 1).astype(np.float32)
-    found = scene.cast_rays(o3d.core.Tensor.from_numpy(both))
-    distance = found["t_hit"].numpy()
-    pixels = np.flatnonzero(np.isfinite(distance))
-    b, c = found["primitive_uvs"].numpy()[pixels].T
-    weights = np.stack([1 - b - c, b, c], 1).astype(np.float32)
-    return Hits(pixels, found["primitive_ids"].numpy()[pixels], weights, distance[pixels])
+    return Solid(product.vertices, product.faces).first(origin, rays)
 
 
 def reach_around(product: Product, azimuth: float) -> float:
@@ -150,17 +122,9 @@ def shade(product: Product, hits: Hits, toward: F32) -> F32:
     mirrored = 2 * (normal * toward).sum(1, keepdims=True) * normal - toward
     f0 = 0.04 * (1 - metal) + base * metal
     diffuse = base * (1 - metal) * _light(normal, np.ones_like(rough))
-    return np.asarray(diffuse + _light(mirrored, rough) * _reflected(f0, rough, cosine), np.float32)
-
-
-def _reflected(f0: F32, rough: F32, cosine: F32) -> F32:
-    """Share of the light that is reflected (Karis 2014, "Physically Based Shading on Mobile")."""
-    a = np.minimum((1 - rough) ** 2, 2.0 ** (-9.28 * cosine)) * (1 - rough) + (
-        0.0425 - 0.0275 * rough
+    return np.asarray(
+        diffuse + _light(mirrored, rough) * reflected_share(f0, rough, cosine), np.float32
     )
-    scale = -1.04 * a + (1.04 - 0.572 * rough)
-    offset = 1.04 * a + (-0.04 + 0.022 * rough)
-    return np.asarray(f0 * scale + offset, np.float32)
 
 
 def _light(directions: F32, rough: F32) -> F32:

@@ -25,7 +25,8 @@ class Product:
 
     Args:
         vertices, normals: (V, 3) float32; tangents: (V, 4); uv: (V, 2), v down; faces: (F, 3).
-        base_color: (S, S, 3) sRGB; roughness, metallic: (S, S) linear; normal: (S, S, 3), green up.
+        base_color: (S, S, 3) sRGB; roughness, metallic, occlusion: (S, S) linear;
+        normal: (S, S, 3), green up.
         is_open: some edge has a face on one side only, so the inside can be seen.
         about: what the files say about themselves; see `about_asset`.
     """
@@ -38,6 +39,7 @@ class Product:
     base_color: U8
     roughness: U8
     metallic: U8
+    occlusion: U8
     normal: U8
     is_open: bool
     about: About = field(default_factory=dict)
@@ -70,6 +72,7 @@ def product(
         base_color=_eight_bits(textured.base_color),
         roughness=_eight_bits(textured.roughness),
         metallic=_eight_bits(textured.metallic),
+        occlusion=_eight_bits(textured.occlusion),
         normal=_eight_bits(textured.normal),
         is_open=_is_open(mesh.vertices, mesh.faces),
         about=about or {},

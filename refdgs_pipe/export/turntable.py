@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from refdgs_pipe.color import srgb_from_linear
-from refdgs_pipe.export.preview import Hits, cast, rays_around, reach_around, shade
+from refdgs_pipe.export.preview import cast, rays_around, reach_around, shade
 from refdgs_pipe.export.product import Product
+from refdgs_pipe.tracing import Hits
 
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
@@ -47,7 +48,7 @@ def _turn(product: Product, azimuth: float, side: int, *, reach: float, zoom: fl
     fine = side * _SUPERSAMPLING
     origin, rays = rays_around(product, azimuth, fine, reach=reach, zoom=zoom)
     hits = cast(product, origin, rays)
-    toward = -rays[hits.pixels]
+    toward = -rays[hits.rays]
     edge = np.linalg.norm(rays[0] - rays[fine - 1]) / fine * hits.distance  # a pixel there, metres
     return Turn(
         _picture(srgb_from_linear(shade(product, hits, toward)), hits, fine, side),
@@ -58,8 +59,8 @@ def _turn(product: Product, azimuth: float, side: int, *, reach: float, zoom: fl
 def _picture(colors: F32, hits: Hits, fine: int, side: int) -> U8:
     """Colours (N, 3) at the hits, averaged to (side, side, 4)."""
     image = np.zeros((fine * fine, 4), np.float32)
-    image[hits.pixels, :3] = colors
-    image[hits.pixels, 3] = 1
+    image[hits.rays, :3] = colors
+    image[hits.rays, 3] = 1
     small = np.asarray(
         cv2.resize(image.reshape(fine, fine, 4), (side, side), interpolation=cv2.INTER_AREA)
     )

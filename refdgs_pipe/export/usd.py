@@ -116,6 +116,8 @@ def _material(stage: Any, textures: str, *, has_metal: bool) -> Any:
         metallic.ConnectToSource(metal)
     else:
         metallic.Set(0.0)
+    occlusion = texture("occlusion", "occlusion.png", "raw", "r", types.Float)
+    surface.CreateInput("occlusion", types.Float).ConnectToSource(occlusion)
     normal = texture("normal", "normal.png", "raw", "rgb", types.Float3)
     surface.CreateInput("normal", types.Normal3f).ConnectToSource(normal)
     output = surface.CreateOutput("surface", types.Token)

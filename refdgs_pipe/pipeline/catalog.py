@@ -7,7 +7,18 @@ from refdgs_pipe.pipeline.plan import Pipeline
 from refdgs_pipe.pipeline.stage import Source, Stage
 from refdgs_pipe.pipeline.store import Store
 
-STAGES = ("ingest", "sfm", "train", "extract", "clean", "unwrap", "bake", "export", "evaluate")
+STAGES = (
+    "ingest",
+    "sfm",
+    "train",
+    "extract",
+    "clean",
+    "appearance",
+    "unwrap",
+    "bake",
+    "export",
+    "evaluate",
+)
 PUBLISHED = {"export": "asset"}  # stage -> the folder of the workspace that shows its result
 
 

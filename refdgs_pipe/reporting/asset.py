@@ -93,6 +93,7 @@ def _smaller(made: Product) -> bytes:
         base_color=fitted(made.base_color, _TEXTURE),
         roughness=fitted(made.roughness, _TEXTURE),
         metallic=fitted(made.metallic, _TEXTURE),
+        occlusion=fitted(made.occlusion, _TEXTURE),
         normal=fitted(made.normal, _TEXTURE),
     )
     with tempfile.TemporaryDirectory() as folder:
@@ -151,6 +152,7 @@ def atlas(facts: Facts, _: Drawing) -> Html:
         ("base colour", _texture(textured.base_color)),
         ("roughness, white is rough", _texture(textured.roughness)),
         ("metal, white is metal", _texture(textured.metallic)),
+        ("ambient occlusion, white is open", _texture(textured.occlusion)),
         ("normal, tangent space", _texture(textured.normal)),
         ("confidence: red was seen by no camera", _confidence(confidence, covered)),
     )

@@ -21,7 +21,7 @@ from refdgs_pipe.reporting.facts import Drawing, Facts, readable
 from refdgs_pipe.reporting.html import Html, joined, tag
 
 NAME = "report.html"
-_LAYOUT = 3  # raised when the page changes, so that older ones are made again
+_LAYOUT = 4  # raised when the page changes, so that older ones are made again
 _POLICY = (  # the browser itself keeps the page from fetching anything
     "default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval' blob:; "
     "style-src 'unsafe-inline'; img-src data: blob:; connect-src data: blob:; "

@@ -20,6 +20,7 @@ _LABELS = {
     "normal_mae_foreground_deg": ("normal error, object", "degrees", 2),
     "depth_mae": ("depth error", "units", 5),
     "alpha_iou": ("alpha IoU", "", 4),
+    "relit_psnr": ("PSNR, relit", "dB", 2),
 }
 _SURFACE = {
     "paper_chamfer": "Chamfer distance, points seen",
@@ -40,6 +41,7 @@ def scores(facts: Facts, _: Drawing) -> Html:
         words = "not computed" if value is None else f"{value:.{digits}f} {unit}".rstrip()
         rows.append((label, words, facts.plain(found.notes.get(name, ""))))
     rows += _surface(facts, found)
+    rows += _materials(facts, found)
     views = [
         (view.name, *(_cell(getattr(view, name), _LABELS[name][2]) for name in VIEW_FIGURES))
         for view in sorted(found.views, key=lambda view: view.psnr)
@@ -47,7 +49,39 @@ def scores(facts: Facts, _: Drawing) -> Html:
     names = tuple(_LABELS[name][0] for name in VIEW_FIGURES)
     each = tag("details", tag("summary", "Each view"), table(("view", *names), list(views)))
     words = f"Means over {len(found.views)} {kind} views. docs/evaluation.md says what each means."
-    return joined(tag("p", words), table(("figure", "value", "remark"), rows), each)
+    return joined(tag("p", words), table(("figure", "value", "remark"), rows), _parts(found), each)
+
+
+def _materials(facts: Facts, found: Scores) -> list[tuple[Content, ...]]:
+    score = found.materials
+    if score is None:
+        return [("materials", "not computed", facts.plain(found.notes.get("materials", "")))]
+    rank = "all alike" if score.roughness_rank is None else f"{score.roughness_rank:.3f}"
+    return [
+        ("base colour", f"{score.base_color_rmse:.4f}", "linear RGB, scale-invariant RMSE"),
+        ("roughness order", rank, "rank correlation with the truth over the parts"),
+        ("metal told right", f"{score.metallic_right:.1%}", "of the texels"),
+    ]
+
+
+def _parts(found: Scores) -> Html:
+    """The parts of the object whose true materials are known."""
+    if found.materials is None:
+        return Html("")
+    head = ("part", "roughness", "true", "mean error", "metal", "true", "told right")
+    rows: list[tuple[Content, ...]] = [
+        (
+            part.name,
+            f"{part.roughness:.2f}",
+            f"{part.true_roughness:.2f}",
+            f"{part.roughness_mae:.2f}",
+            f"{part.metallic:.2f}",
+            f"{part.true_metallic:.0f}",
+            f"{part.metallic_right:.0%}",
+        )
+        for part in found.materials.parts
+    ]
+    return table(head, rows)
 
 
 def _surface(facts: Facts, found: Scores) -> list[tuple[Content, ...]]:

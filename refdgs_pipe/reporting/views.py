@@ -1,16 +1,19 @@
 """The trained field: how training went, how its views compare with photos, and what it learned."""
 
+from collections.abc import Callable
 from contextlib import suppress
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from refdgs_pipe.artifacts.appearance import Appearance
 from refdgs_pipe.artifacts.asset import Asset
 from refdgs_pipe.artifacts.photos import Photo, load_photo
 from refdgs_pipe.artifacts.scores import Scores
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.surfel_field import SurfelField
+from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.color import srgb_from_linear
@@ -47,6 +50,7 @@ def comparisons(facts: Facts, drawing: Drawing) -> Html:
     """Photo, render and error of held-out views, from the worst to the best."""
     from refdgs_pipe.training.render import render_image
 
+    relit = _relit(facts)
     views = facts.load(Views)
     model = facts.load(SparseModel)
     field = facts.load(SurfelField)
@@ -58,11 +62,18 @@ def comparisons(facts: Facts, drawing: Drawing) -> Html:
         photo = load_photo(views, model, camera, scale=scale)
         target = _over_white(photo)
         drawn = render_image(field, photo.camera, device=DEVICE, threads=drawing.threads)
-        rows.append(_row(views[camera.name].source or camera.name, photo, target, drawn))
+        shown = [("render", drawn)]
+        if relit is not None:
+            behind = drawn if photo.mask is None else np.ones_like(drawn)
+            color, alpha = relit(photo.camera)
+            over = color * alpha[..., None] + behind * (1 - alpha[..., None])
+            shown.append(("relit asset", over.astype(np.float32)))
+        rows.append(_row(views[camera.name].source or camera.name, photo, target, shown))
     kind = "held out from training" if held else "used in training (none was held out)"
     words = (
         f"Views {kind}, from the worst to the best by PSNR. The error is the mean absolute "
-        f"difference of the channels; {ERROR_FULL:g} of white or more is the brightest colour."
+        f"difference of the channels; {ERROR_FULL:g} of white or more is the brightest colour. "
+        "The relit asset is the exported mesh with its textures, drawn in its environment.hdr."
     )
     open_ones = {0, len(rows) // 2, len(rows) - 1}  # worst, middle, best; the others on demand
     first = [row for i, row in enumerate(rows) if i in open_ones]
@@ -82,24 +93,32 @@ def chosen_cameras(facts: Facts, model: SparseModel, count: int) -> list[Camera]
     return [held[i] for i in np.unique(np.linspace(0, len(held) - 1, count).round().astype(int))]
 
 
-def _row(name: str, photo: Photo, target: F32, drawn: F32) -> Html:
+def _relit(facts: Facts) -> Callable[[Camera], tuple[F32, F32]] | None:
+    """What draws the textured mesh in its own light, if there are both."""
+    from refdgs_pipe.evaluation.relight import relit
+
+    with suppress(RefdgsError):  # not made yet, or from an older version
+        return relit(facts.load(TexturedMesh), facts.load(Appearance))
+    return None
+
+
+def _row(name: str, photo: Photo, target: F32, shown: list[tuple[str, F32]]) -> Html:
     seen = photo.valid
-    quality = psnr(drawn[seen], target[seen]) if seen.any() else float("nan")
     height, width = target.shape[:2]
+
+    def quality(drawn: F32) -> str:
+        return f"{psnr(drawn[seen], target[seen]):.2f} dB" if seen.any() else "nothing to compare"
 
     def picture(pixels: NDArray[np.uint8], kind: str) -> Html:
         return figure(image(webp(pixels), f"{kind} of {name}", (width, height)), kind)
 
+    pictures = [picture(eight_bits(target), "photo")]
+    pictures += [picture(eight_bits(drawn), kind) for kind, drawn in shown]
+    pictures.append(picture(error_map(shown[0][1], target, seen), "error"))
+    words = ", ".join(f"{kind} {quality(drawn)}" for kind, drawn in shown)
+    class_ = "triple" if len(pictures) == 3 else "quad"
     return tag(
-        "div",
-        tag("h3", name, tag("small", f" {quality:.2f} dB")),
-        tag(
-            "div",
-            picture(eight_bits(target), "photo"),
-            picture(eight_bits(drawn), "render"),
-            picture(error_map(drawn, target, seen), "error"),
-            class_="triple",
-        ),
+        "div", tag("h3", name, tag("small", f" {words}")), tag("div", *pictures, class_=class_)
     )
 
 

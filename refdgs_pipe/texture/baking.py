@@ -12,7 +12,7 @@ from refdgs_pipe.geometry import without_jumps
 F32 = NDArray[np.float32]
 Ints = NDArray[np.int64]
 
-_CHANNELS = 7  # diffuse 3, roughness 1, normal 3
+_CHANNELS = 6  # diffuse 3, normal 3
 _MIN_ALPHA = 0.5
 _MIN_COSINE = 0.2
 # Where the views' normals lie further apart than this (3 degrees), the mesh's own count more.
@@ -28,16 +28,13 @@ class Surface:
     """What was gathered for N points of a surface.
 
     Args:
-        diffuse: (N, 3) linear; roughness: (N,); normal: (N, 3) unit, world.
-        specular: (N, 3) mean linear radiance of the reflections over all views.
+        diffuse: (N, 3) linear; normal: (N, 3) unit, world.
         confidence: (N,) 0 where no view saw the point, towards 1 for many that agree.
         seen: (N,) whether any view did.
     """
 
     diffuse: F32
-    roughness: F32
     normal: F32
-    specular: F32
     confidence: F32
     seen: NDArray[np.bool_]
 
@@ -58,17 +55,15 @@ class Gather:
         self._weights = np.zeros((count, keep), np.float32)
         self._samples = np.zeros((count, keep, _CHANNELS), np.float16)
         self._total = np.zeros(count, np.float32)
-        self._specular = np.zeros((count, 3), np.float32)
 
     def add(self, view: SurfaceMap) -> int:
         """Take what one view shows; gives how many points it sees."""
         rows, pixels, weights = self._visible(view)
         if not len(rows):
             return 0
-        values = np.concatenate([view.diffuse, view.roughness[..., None], view.normal], -1)
+        values = np.concatenate([view.diffuse, view.normal], -1)
         samples = _bilinear(values, pixels)
         self._total[rows] += weights
-        self._specular[rows] += weights[:, None] * _bilinear(view.specular, pixels)
         worst = self._weights[rows].argmin(1)
         better = weights > self._weights[rows, worst]
         rows, worst = rows[better], worst[better]
@@ -93,20 +88,15 @@ class Gather:
         for start in range(0, count, _CHUNK):
             part = slice(start, start + _CHUNK)
             values[part], spread[part] = _combined(self._samples[part], self._weights[part])
-        specular = self._specular / np.maximum(self._total, 1e-6)[:, None]
         if not seen.all():
-            everything = np.concatenate([values[:, :4], specular], 1)
-            everything[~seen] = _from_nearest(self.points, everything, seen)
-            values[:, :4], specular = everything[:, :4], everything[:, 4:]
+            values[~seen, :3] = _from_nearest(self.points, values[:, :3], seen)
         doubt = (spread[:, 1:] / _NORMAL_SPREAD) ** 2
-        normal = np.where(seen[:, None], values[:, 4:] + doubt * self.normals, self.normals)
+        normal = np.where(seen[:, None], values[:, 3:] + doubt * self.normals, self.normals)
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-6)
         confidence = (1 - np.exp(-self._total / 0.7)) / (1 + (spread[:, 0] / 0.1) ** 2)
         return Surface(
             values[:, :3],
-            values[:, 3],
             np.asarray(normal, np.float32),
-            np.asarray(specular, np.float32),
             np.asarray(confidence, np.float32),
             seen,
         )
@@ -157,14 +147,14 @@ def _bilinear(values: F32, pixels: F32) -> F32:
 
 
 def _combined(samples: NDArray[np.float16], weights: F32) -> tuple[F32, F32]:
-    """(N, 7) robust mean of samples (N, K, 7); (N, 2) how far apart colours and normals lie.
+    """(N, 6) robust mean of samples (N, K, 7); (N, 2) how far apart colours and normals lie.
 
     Iteratively reweighted (Cauchy): a sample that disagrees with the others loses its weight.
     """
     values = samples.astype(np.float32)
     out = np.zeros((len(values), _CHANNELS), np.float32)
     spread = np.zeros((len(values), 2), np.float32)
-    for channels, least in ((slice(0, 3), 0.02), (slice(3, 4), 0.03), (slice(4, 7), 0.03)):
+    for channels, least in ((slice(0, 3), 0.02), (slice(3, 6), 0.03)):
         part: F32 = values[..., channels]
         trust: F32 = weights
         mean, apart = _mean(part, weights)
@@ -173,8 +163,7 @@ def _combined(samples: NDArray[np.float16], weights: F32) -> tuple[F32, F32]:
             trust = (weights / (1 + (apart / scale) ** 2)).astype(np.float32)
             mean, apart = _mean(part, trust)
         out[:, channels] = mean
-        if channels.start != 3:
-            spread[:, channels.start // 4] = _mean(apart[..., None], weights)[0][:, 0]
+        spread[:, channels.start // 3] = _mean(apart[..., None], weights)[0][:, 0]
     return out, spread
 
 

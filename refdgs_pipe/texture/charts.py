@@ -1,8 +1,11 @@
 """Cutting a surface into flat charts packed in one square atlas."""
 
+import ctypes
+import importlib.util
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,6 +122,7 @@ def uvatlas_corners(
 
     Runs in a child process: it crashes on meshes that are not manifold.
     """
+    _use_same_seeds()
     import open3d as o3d
 
     mesh = o3d.t.geometry.TriangleMesh(
@@ -133,6 +137,20 @@ def uvatlas_corners(
         nthreads=min(partitions, 2),
     )
     return np.asarray(mesh.triangle["texture_uvs"].numpy(), np.float32)
+
+
+def _use_same_seeds() -> None:
+    """Let UVAtlas draw the same lots every time; must come before its library is loaded.
+
+    Its only randomness is the seeds that it takes from std::random_device. Where our stand-in for
+    that was not built (not Linux), atlases differ from run to run.
+    """
+    native = importlib.util.find_spec("_refdgs_native")
+    if native is None or native.origin is None:
+        return
+    stand_in = Path(native.origin).parent / "_refdgs_same_seeds.so"
+    if stand_in.is_file():
+        ctypes.CDLL(str(stand_in), mode=ctypes.RTLD_GLOBAL)
 
 
 def xatlas_corners(vertices: F32, faces: NDArray[np.int32], gutter: float) -> F32:
@@ -182,22 +200,10 @@ def seam_split(mesh: TriangleMesh, corners: F32) -> UvMesh:
     source = vertex[first]
     return UvMesh(
         mesh.vertices[source],
-        vertex_normals(mesh)[source],
+        mesh.vertex_normals()[source],
         corners.reshape(-1, 2)[first],
         faces.reshape(-1, 3).astype(np.int32),
     )
-
-
-def vertex_normals(mesh: TriangleMesh) -> F32:
-    """(V, 3) unit normals, faces weighted by their area."""
-    a, b, c = (mesh.vertices[mesh.faces[:, i]].astype(np.float64) for i in range(3))
-    weighted = np.cross(b - a, c - a)
-    total = np.zeros((len(mesh.vertices), 3))
-    for i in range(3):
-        np.add.at(total, mesh.faces[:, i], weighted)
-    length = np.linalg.norm(total, axis=1, keepdims=True)
-    unit = np.where(length > 0, total / np.maximum(length, 1e-30), [0.0, 0.0, 1.0])
-    return unit.astype(np.float32)
 
 
 def measure(method: str, mesh: TriangleMesh, corners: F32) -> Layout:

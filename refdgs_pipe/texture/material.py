@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from refdgs_pipe.artifacts.appearance import Appearance
 from refdgs_pipe.artifacts.mesh import UvMesh
 from refdgs_pipe.artifacts.surface_map import SurfaceMap
 from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
@@ -15,44 +16,45 @@ from refdgs_pipe.texture.texels import Texels, rasterize
 
 F32 = NDArray[np.float32]
 
-# The mean light that falls on the object, in exposed units, is not known. Photos are exposed so
-# that it is rarely darker than this; where the brighter reflections average more than a mirror
-# could give under it, it must be brighter.
-_LIGHT = 0.3
-_MIRROR = 0.95
-# Reflectances between these two turn from plastic to metal (plastics: 0.04, iron: 0.5).
-_PLASTIC, _METAL = 0.15, 0.4
-
 
 @dataclass(frozen=True)
-class Reflectance:
-    """The split of a surface: base (N, 3) linear colour and metallic (N,)."""
+class Materials:
+    """What each of N texels is made of; (N, 3) or (N,) float32."""
 
     base: F32
+    roughness: F32
     metallic: F32
+    openness: F32
 
 
-def reflectance(surface: Surface) -> Reflectance:
-    """Tell metal from the rest by how much of the light it reflects, averaged over all views.
+def materials(surface: Surface, mesh: UvMesh, texels: Texels, looks: Appearance) -> Materials:
+    """The materials of a mesh's vertices, in the texels' finer detail.
 
-    A metal has no diffuse colour: rendered as a plastic it would be black. Its base colour is
-    its reflectance: the mean reflected radiance over the mean light.
+    A metal has no diffuse colour: its base colour is its reflectance. Elsewhere it is the share
+    of the light received that the surface scatters.
     """
-    seen = surface.specular[surface.seen].astype(np.float64)
-    light = max(_LIGHT, float((seen**2).sum() / max(seen.sum(), 1e-9)) / _MIRROR)
-    mirror = np.clip(surface.specular / light, 0, _MIRROR)
-    step = np.clip((mirror.mean(1) - _PLASTIC) / (_METAL - _PLASTIC), 0, 1)
-    metallic = step * step * (3 - 2 * step)
-    # A surface that scatters more than it mirrors is a bright glossy plastic.
-    body = surface.diffuse.mean(1)
-    metallic *= np.clip(2 * mirror.mean(1) / np.maximum(mirror.mean(1) + body, 1e-6) - 0.5, 0, 1)
-    base = surface.diffuse * (1 - metallic[:, None]) + mirror * metallic[:, None]
-    return Reflectance(base.astype(np.float32), metallic.astype(np.float32))
+    table = np.concatenate(
+        [
+            looks.roughness[:, None],
+            looks.metallic[:, None],
+            looks.openness[:, None],
+            looks.gain[:, None] / looks.received,
+            looks.tint,
+        ],
+        axis=1,
+    )
+    there = texels.interpolate(mesh, table[_nearest(looks.points, mesh.vertices)])
+    metallic = there[:, 1:2]
+    scattered = np.clip(surface.diffuse * there[:, 3:6], 0, 1)
+    base = scattered * (1 - metallic) + there[:, 6:9] * metallic
+    return Materials(base, there[:, 0], metallic[:, 0], there[:, 2])
 
 
-def plain(surface: Surface) -> Reflectance:
-    """No metal anywhere: the diffuse colour alone."""
-    return Reflectance(surface.diffuse, np.zeros_like(surface.roughness))
+def _nearest(points: F32, wanted: F32) -> NDArray[np.int64]:
+    """(N,) which of the points is nearest; a mesh and its charts have the same ones."""
+    from scipy.spatial import cKDTree
+
+    return np.asarray(cKDTree(points).query(wanted)[1], np.int64)
 
 
 class Painter:
@@ -75,28 +77,29 @@ class Painter:
         """Take what one view shows."""
         self._gather.add(view)
 
-    def paint(self, *, metal: bool) -> TexturedMesh:
-        """The textures; `metal` tells metal from the rest by what it reflects.
+    def paint(self, looks: Appearance) -> TexturedMesh:
+        """The textures, for materials that were told for the mesh's vertices.
 
         Raises:
             MeshError: no view saw any part of the mesh.
         """
         surface = self._gather.surface()
         self.seen_share = float(surface.seen.mean())
-        split = reflectance(surface) if metal else plain(surface)
-        return _painted(self.mesh, self._texels, surface, split)
+        made_of = materials(surface, self.mesh, self._texels, looks)
+        return _painted(self.mesh, self._texels, surface, made_of)
 
 
-def _painted(mesh: UvMesh, texels: Texels, surface: Surface, split: Reflectance) -> TexturedMesh:
+def _painted(mesh: UvMesh, texels: Texels, surface: Surface, made_of: Materials) -> TexturedMesh:
     """The mesh with every texture filled, also between the charts."""
     tangents = mikktspace(mesh)
     normal = tangent_space(texels, mesh, tangents, surface.normal)
     return TexturedMesh(
         mesh,
         tangents,
-        base_color=_texture(texels, srgb_from_linear(split.base)),
-        roughness=_texture(texels, surface.roughness),
-        metallic=_texture(texels, split.metallic),
+        base_color=_texture(texels, srgb_from_linear(made_of.base)),
+        roughness=_texture(texels, made_of.roughness),
+        metallic=_texture(texels, made_of.metallic),
+        occlusion=_texture(texels, made_of.openness),
         normal=_texture(texels, normal * 0.5 + 0.5),
         confidence=_texture(texels, surface.confidence),
     )

@@ -5,18 +5,23 @@ from pathlib import Path
 
 import pytest
 
-from refdgs_pipe.artifacts.scores import Scores, SurfaceScore, ViewScore
+from refdgs_pipe.artifacts.scores import MaterialScore, PartScore, Scores, SurfaceScore, ViewScore
 from refdgs_pipe.cli.evaluation import describe, open_for_scores
 from refdgs_pipe.errors import InputError
 from refdgs_pipe.evaluation.lpips import digest_of
 
 VIEWS = (
-    ViewScore("a", 30.0, 30.5, 0.95, None, 1.0, 3.0, 0.01, 0.99),
-    ViewScore("b", 32.0, 32.5, 0.97, None, 2.0, 5.0, 0.03, 0.97),
+    ViewScore("a", 30.0, 30.5, 0.95, None, 1.0, 3.0, 0.01, 0.99, 27.0),
+    ViewScore("b", 32.0, 32.5, 0.97, None, 2.0, 5.0, 0.03, 0.97, 28.0),
 )
 SURFACE = SurfaceScore(2.0, 0.0062, 0.005, 0.004, 0.006, 0.9, 1.0)
+PART = PartScore("lid", 900, 0.25, 0.2, 0.06, 0.9, 1.0, 0.85)
+MATERIALS = MaterialScore(0.08, 0.9, 0.85, (PART,))
 SURFELS = {"geometry": 20000, "local": 900, "background": 0}
 NO_WEIGHTS = {"lpips": "no weights given (--lpips-weights)"}
+
+
+SCORES = Scores("test", VIEWS, SURFACE, SURFELS, NO_WEIGHTS, MATERIALS)
 
 
 def record(scores: Scores) -> dict[str, object]:
@@ -29,7 +34,7 @@ def record(scores: Scores) -> dict[str, object]:
 
 
 def test_the_table_names_each_figure_its_unit_and_its_protocol() -> None:
-    lines = describe(record(Scores("test", VIEWS, SURFACE, SURFELS, NO_WEIGHTS))).splitlines()
+    lines = describe(record(SCORES)).splitlines()
     assert [" ".join(line.split()) for line in lines] == [
         "views 2 held-out",
         "PSNR 31.00 dB over white, all channels at once",
@@ -40,18 +45,23 @@ def test_the_table_names_each_figure_its_unit_and_its_protocol() -> None:
         "normal error 4.00 degrees the object's pixels",
         "depth error 0.02000 units where both have a surface",
         "alpha IoU 0.9800",
+        "PSNR, relit 27.50 dB of the textured mesh in its own light",
         "Chamfer distance 0.00620 units 0.310 % of the diagonal; the paper's: points seen",
         "Chamfer distance 0.00500 units 0.250 % of the diagonal; between the surfaces, where seen",
         "mesh to truth 0.00400 units 0.200 % of the diagonal; accuracy",
         "truth to mesh 0.00600 units 0.300 % of the diagonal; completeness",
         "F-score 0.9000 share within 0.5 % of the diagonal",
         "F-score 1.0000 share within 1 % of the diagonal",
+        "base colour 0.0800 linear, scale-invariant RMSE",
+        "roughness order 0.900 rank correlation over the parts",
+        "metal 0.850 share of the texels told right",
+        "lid roughness 0.25 truth 0.20, error 0.06; metal 85% right, truth 1",
         "render rate 9.50 views/s 320 x 320 on cpu, threads: 2",
         "surfels 20000 geometry, 900 local, 0 background",
         "train took 6 min 12 s",
         "evaluate took 12 s",
     ]
-    remarks = ((1, "over"), (5, "the paper"), (9, "0.310"), (15, "320"))
+    remarks = ((1, "over"), (5, "the paper"), (10, "0.310"), (20, "320"))
     assert len({lines[row].index(words) for row, words in remarks}) == 1
 
 

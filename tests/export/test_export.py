@@ -276,9 +276,8 @@ def test_a_textured_mesh_survives_the_round_trip(tmp_path: Path) -> None:
 
 
 def test_textures_must_be_square_powers_of_two_and_agree() -> None:
-    mesh = textured(64)
-    fields = {n: getattr(mesh, n) for n in ("tangents", "roughness", "metallic", "normal")}
-    fields |= {"mesh": mesh.mesh, "base_color": mesh.base_color, "confidence": mesh.confidence}
+    made = textured(64)
+    fields = {name: getattr(made, name) for name in TexturedMesh.__dataclass_fields__}
     with pytest.raises(ShapeError, match="48 texels wide"):
         TexturedMesh(**{**fields, "base_color": np.zeros((48, 48, 3), np.uint16)})
     with pytest.raises(ShapeError, match="roughness is"):

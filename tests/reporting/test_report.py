@@ -106,9 +106,9 @@ def test_a_finished_workspace_fills_every_section(text: str) -> None:
     assert len(re.findall(r'<figure class="photo', text)) == 6
     assert body_of(text, "cameras").count('class="camera ') == 2 * 5
     assert body_of(text, "training").count("<polyline") == 2
-    assert body_of(text, "views").count("<img") == 3  # one view was held out
+    assert body_of(text, "views").count("<img") == 4  # one view was held out: photo, render, relit
     assert body_of(text, "maps").count("<img") == 4
-    assert body_of(text, "atlas").count("<img") == 6
+    assert body_of(text, "atlas").count("<img") == 7
     assert "20.00 dB" in body_of(text, "scores")
     assert body_of(text, "files").count('<b class="ok">ok</b>') > 8
 

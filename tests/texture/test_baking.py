@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from finished import appearance
 from scenes import Scene, Sphere, constant, gradient_sky, orbit, waves
 from solids import sphere
 
@@ -38,7 +39,7 @@ def paint(views: list[SurfaceMap], *, size: int = 256) -> tuple[Painter, Texture
     painter = Painter(ball(), size, tolerance=0.03)
     for view in views:
         painter.add(view)
-    return painter, painter.paint(metal=True)
+    return painter, painter.paint(appearance(ball().vertices))
 
 
 def texel_points(mesh: UvMesh, size: int) -> tuple[np.ndarray, np.ndarray]:
@@ -52,7 +53,9 @@ def views() -> list[SurfaceMap]:
     return [SCENE.surface_map(camera) for camera in orbit(24, size=200, focal=300)]
 
 
-def test_base_colour_and_roughness_are_the_scenes(views: list[SurfaceMap]) -> None:
+def test_colours_are_the_scenes_and_materials_the_vertices(
+    views: list[SurfaceMap],
+) -> None:
     painter, textured = paint(views)
     index, points = texel_points(textured.mesh, 256)
     base = linear_from_srgb(textured.base_color.reshape(-1, 3)[index] / np.float32(65535))
@@ -70,7 +73,7 @@ def test_the_normal_map_restores_the_true_normals(views: list[SurfaceMap]) -> No
     painter = Painter(ball(12), 256, tolerance=0.05)
     for view in views:
         painter.add(view)
-    textured = painter.paint(metal=False)
+    textured = painter.paint(appearance(ball(12).vertices))
     mesh = textured.mesh
     texels = rasterize(mesh, 256)
     local = textured.normal.reshape(-1, 3)[texels.index] / 65535 * 2 - 1
@@ -85,12 +88,28 @@ def test_the_normal_map_restores_the_true_normals(views: list[SurfaceMap]) -> No
     assert angle.mean() < 0.6 and np.quantile(angle, 0.99) < 2.5
 
 
-def test_a_mirror_becomes_metal_and_glossy_plastic_does_not() -> None:
-    silver = Sphere((0, 0, 0), 1.0, constant(0, 0, 0), roughness=0.1, specular=(0.9, 0.8, 0.7))
-    for solid, metallic in ((silver, 1.0), (replace(silver, specular=(0.04,) * 3), 0.0)):
-        scene = Scene((solid,), gradient_sky)
-        _, textured = paint([scene.surface_map(c) for c in orbit(16)], size=128)
-        assert abs(np.median(textured.metallic) / 65535 - metallic) < 0.05
+def test_base_colours_are_what_is_scattered_of_the_light_received(
+    views: list[SurfaceMap],
+) -> None:
+    painter = Painter(ball(), 128, tolerance=0.03)
+    for view in views:
+        painter.add(view)
+    _, lit = paint(views, size=128)
+    dim = painter.paint(appearance(ball().vertices, received=2.0))
+    bright, dark = (linear_from_srgb(t.base_color / np.float32(65535)) for t in (lit, dim))
+    np.testing.assert_allclose(dark, bright / 2, atol=2e-3)
+
+
+def test_metal_has_its_reflectance_as_base_colour(views: list[SurfaceMap]) -> None:
+    painter = Painter(ball(), 128, tolerance=0.03)
+    for view in views:
+        painter.add(view)
+    looks = appearance(ball().vertices)
+    gold = np.broadcast_to(np.float32([1.0, 0.7, 0.3]), looks.tint.shape)
+    textured = painter.paint(replace(looks, metallic=looks.openness, tint=gold))
+    base = linear_from_srgb(textured.base_color / np.float32(65535))
+    np.testing.assert_allclose(base, np.broadcast_to(gold[0], base.shape), atol=1e-4)
+    assert textured.metallic.min() == 65535
 
 
 def test_one_view_with_a_wrong_colour_is_outvoted(views: list[SurfaceMap]) -> None:

@@ -1,11 +1,13 @@
 """Every mesh gets an atlas without overlaps, whatever program fails on it."""
 
+import sys
+
 import numpy as np
 import pytest
 from solids import sphere
 
 from refdgs_pipe.artifacts.mesh import Mesh, TriangleMesh
-from refdgs_pipe.child import ChildCrashed, ChildTimeout
+from refdgs_pipe.child import ChildCrashed, ChildTimeout, call_in_child
 from refdgs_pipe.errors import MeshError
 from refdgs_pipe.texture import charts
 
@@ -100,3 +102,24 @@ def test_a_mesh_full_of_holes_is_unwrapped_in_parts() -> None:
     assert charts.holes_and_handles(mesh) > 60
     result = charts.unwrap(mesh, gutter=4 / 1024, max_stretch=0.1667, timeout_s=60)
     assert result.layout.method == "UVAtlas in parts" and result.refused == ()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="UVAtlas draws lots elsewhere")
+@pytest.mark.parametrize("partitions", [1, 4])
+def test_an_atlas_is_the_same_every_time(partitions: int) -> None:
+    mesh = ball()
+    made = [
+        call_in_child(
+            "refdgs_pipe.texture.charts:uvatlas_corners",
+            {
+                "vertices": mesh.vertices,
+                "faces": mesh.faces,
+                "gutter": 4 / 1024,
+                "max_stretch": 0.1667,
+                "partitions": partitions,
+            },
+            timeout_s=120,
+        )
+        for _ in range(2)
+    ]
+    np.testing.assert_array_equal(*made)

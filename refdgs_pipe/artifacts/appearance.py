@@ -1,0 +1,87 @@
+"""What a surface is made of, told apart from the light that fell on it."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from refdgs_pipe.errors import CorruptError
+
+F32 = NDArray[np.float32]
+_PER_POINT = {
+    "points": 3,
+    "roughness": 0,
+    "metallic": 0,
+    "tint": 3,
+    "gain": 0,
+    "received": 3,
+    "openness": 0,
+}
+
+
+@dataclass(frozen=True)
+class Appearance:
+    """The materials of a mesh, one for each of its V vertices, and the light around it.
+
+    Args:
+        points: (V, 3) the vertices, world.
+        roughness: (V,) as in glTF: the square root of the GGX alpha.
+        metallic: (V,) 0 to 1.
+        tint: (V, 3) linear reflectance where it is metal.
+        gain: (V,) factor of the field's diffuse radiance.
+        received: (V, 3) linear radiance that a white matte surface would show there; the base
+            colour of what is not metal is diffuse * gain / received.
+        openness: (V,) share of the light from all sides that nothing of the object is in front
+            of, weighted by the cosine: ambient occlusion.
+        environment: (H, 2H, 3) linear radiance, laid out as `refdgs_pipe.light` says; None for a
+            field without reflections.
+    """
+
+    points: F32
+    roughness: F32
+    metallic: F32
+    tint: F32
+    gain: F32
+    received: F32
+    openness: F32
+    environment: F32 | None
+
+    def save(self, folder: Path) -> None:
+        from safetensors.numpy import save_file
+
+        arrays = {name: getattr(self, name) for name in _PER_POINT}
+        if self.environment is not None:
+            arrays["environment"] = self.environment
+        contiguous = {k: np.ascontiguousarray(v, np.float32) for k, v in arrays.items()}
+        save_file(contiguous, folder / "appearance.safetensors")
+        record = {"points": len(self.points), "lit": self.environment is not None}
+        (folder / "appearance.json").write_text(json.dumps(record), "utf-8")
+
+    @classmethod
+    def load(cls, folder: Path) -> Self:
+        """Read what `save` wrote.
+
+        Raises:
+            CorruptError: a file is missing, damaged, or does not fit.
+        """
+        from safetensors import SafetensorError
+        from safetensors.numpy import load_file
+
+        try:
+            arrays = load_file(folder / "appearance.safetensors")
+            count = len(arrays["points"])
+            for name, width in _PER_POINT.items():
+                shape = (count, width) if width else (count,)
+                if arrays[name].shape != shape or not np.isfinite(arrays[name]).all():
+                    raise ValueError(f"{name} has the wrong shape or is not finite")
+            light = arrays.get("environment")
+            if light is not None and light.shape != (len(light), 2 * len(light), 3):
+                raise ValueError(f"environment is {light.shape}")
+            return cls(**{name: arrays[name] for name in _PER_POINT}, environment=light)
+        except (OSError, KeyError, ValueError, SafetensorError) as error:
+            raise CorruptError(
+                f"{folder}: not a readable appearance ({error}): run the stage appearance again"
+            ) from error

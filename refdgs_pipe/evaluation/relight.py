@@ -1,0 +1,171 @@
+"""The exported asset drawn in its exported light: a small renderer of its own.
+
+Metallic-roughness as glTF defines it, with the split sum (`refdgs_pipe.light`): light from far
+away, blurred as the roughness asks; where a mirrored ray meets the object, what the object sends
+from there; and for the matte part the light gathered over the half sphere, bounces included.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from refdgs_pipe.artifacts.appearance import Appearance
+from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
+from refdgs_pipe.camera import Camera
+from refdgs_pipe.color import linear_from_srgb, srgb_from_linear
+from refdgs_pipe.light import DIELECTRIC, SMOOTHEST, Environment, reflected_share
+from refdgs_pipe.received import look_around
+from refdgs_pipe.tracing import Hits, Solid, at_hits
+
+F32 = NDArray[np.float32]
+_SUPERSAMPLING = 2
+_BOUNCES = 3
+_LIFT = 0.0025  # of the object's diagonal: mirrored rays start this far above the surface
+_CHUNK = 1 << 18
+
+
+@dataclass(frozen=True)
+class Shaded:
+    """What the asset is at N places: base (N, 3) linear; roughness, metallic (N, 1)."""
+
+    base: F32
+    roughness: F32
+    metallic: F32
+
+    @property
+    def scattered(self) -> F32:
+        """(N, 3) share of the light received that is scattered."""
+        return self.base * (1 - self.metallic)
+
+    @property
+    def f0(self) -> F32:
+        """(N, 3) reflectance straight on."""
+        return DIELECTRIC * (1 - self.metallic) + self.base * self.metallic
+
+
+class Relit:
+    """A textured mesh in its environment.
+
+    Args:
+        textured: its textures are rounded to 8 bits, as the files have them.
+        environment: (H, 2H, 3) linear radiance, laid out as `refdgs_pipe.light` says.
+    """
+
+    def __init__(self, textured: TexturedMesh, environment: F32) -> None:
+        self.mesh, self.tangents = textured.mesh, textured.tangents
+        self.solid = Solid(self.mesh.vertices, self.mesh.faces)
+        self.light = Environment(environment)
+        self._base = linear_from_srgb(_eight(textured.base_color))
+        self._grey = np.stack([_eight(textured.roughness), _eight(textured.metallic)], -1)
+        self._normal = _eight(textured.normal) * 2 - 1
+        self.lift = np.float32(_LIFT * np.linalg.norm(np.ptp(self.mesh.vertices, axis=0)))
+        self._received, self._sent = self._gathered()
+
+    def _gathered(self) -> tuple[F32, F32]:
+        """(V, 3) light that reaches each vertex as a matte surface shows it, and what it sends."""
+        mesh = self.mesh
+        points, first, same = np.unique(
+            mesh.vertices, axis=0, return_index=True, return_inverse=True
+        )
+        same = same.reshape(-1)
+        faces = same[mesh.faces].astype(np.int32)
+        sky = look_around(points, faces, mesh.normals[first], lift=float(self.lift))
+        here = self._at(mesh.uv[first])
+        share = reflected_share(here.f0, here.roughness, np.full((len(points), 1), 0.7, np.float32))
+        sent = np.zeros_like(points)
+        received = sent
+        for _ in range(_BOUNCES):
+            received = sky.received(self.light, sent)
+            sent = received * (here.scattered + share)
+        return received[same], sent[same]
+
+    def draw(self, camera: Camera) -> tuple[F32, F32]:
+        """(H, W, 3) sRGB picture, not premultiplied, and (H, W) coverage."""
+        import cv2
+
+        fine = camera.resized(camera.width * _SUPERSAMPLING, camera.height * _SUPERSAMPLING)
+        rays = fine.pixel_rays().reshape(-1, 3) @ fine.cam_from_world[:3, :3]
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        image = np.zeros((len(rays), 4), np.float32)
+        for start in range(0, len(rays), _CHUNK):
+            part = rays[start : start + _CHUNK].astype(np.float32)
+            hits = self.solid.first(camera.center.astype(np.float32), part)
+            image[start + hits.rays, :3] = np.clip(self._shade(hits, -part[hits.rays]), 0, 1)
+            image[start + hits.rays, 3] = 1
+        size = (camera.width, camera.height)
+        whole = image.reshape(fine.height, fine.width, 4)
+        small = np.asarray(cv2.resize(whole, size, interpolation=cv2.INTER_AREA), np.float32)
+        alpha = small[..., 3]
+        linear = small[..., :3] / np.maximum(alpha, np.float32(1e-6))[..., None]
+        return srgb_from_linear(np.asarray(linear, np.float32)), alpha
+
+    def _shade(self, hits: Hits, toward: F32) -> F32:
+        """(N, 3) linear radiance towards the eye, (N, 3) unit."""
+        mesh = self.mesh
+
+        def at(values: F32) -> F32:
+            return at_hits(values, mesh.faces, hits.face, hits.weights)
+
+        uv, plain = at(mesh.uv), at(mesh.normals)
+        here = self._at(uv)
+        local = _sample(self._normal, uv)
+        tangent = at(self.tangents[:, :3])
+        sign = self.tangents[mesh.faces[hits.face, 0], 3:]
+        normal = local[:, :1] * tangent + local[:, 1:2] * np.cross(plain, tangent) * sign
+        normal = _unit(normal + local[:, 2:] * plain)
+        along = (normal * toward).sum(1, keepdims=True)
+        mirrored = _unit(2 * along * normal - toward)
+        rough = here.roughness[:, 0]
+        incoming = self.light.mirrored(mirrored, rough)
+        start = at(mesh.vertices) + self.lift * _unit(plain)
+        near = self.solid.first(start, mirrored)
+        incoming[near.rays] = self._seen(near, mirrored[near.rays])
+        share = reflected_share(here.f0, here.roughness, np.clip(along, 0.02, 1))
+        return here.scattered * at(self._received) + incoming * share
+
+    def _seen(self, hits: Hits, directions: F32) -> F32:
+        """(N, 3) linear radiance that mirrored rays meet on the object: one more reflection."""
+        mesh = self.mesh
+        here = self._at(at_hits(mesh.uv, mesh.faces, hits.face, hits.weights))
+        normal = _unit(at_hits(mesh.normals, mesh.faces, hits.face, hits.weights))
+        along = -(normal * directions).sum(1, keepdims=True)
+        onward = self.light.mirrored(directions + 2 * along * normal, here.roughness[:, 0])
+        share = reflected_share(here.f0, here.roughness, np.clip(along, 0.02, 1))
+        received = at_hits(self._received, mesh.faces, hits.face, hits.weights)
+        return here.scattered * received + onward * share
+
+    def _at(self, uv: F32) -> Shaded:
+        """The material at texture coordinates (N, 2)."""
+        grey = _sample(self._grey, uv)
+        return Shaded(_sample(self._base, uv), np.maximum(grey[:, :1], SMOOTHEST), grey[:, 1:])
+
+
+def relit(textured: TexturedMesh, looks: Appearance) -> Callable[[Camera], tuple[F32, F32]] | None:
+    """What draws a textured mesh in the light that it was told from; None if there is none."""
+    if looks.environment is None:
+        return None
+    return Relit(textured, looks.environment).draw
+
+
+def _eight(pixels: NDArray[np.uint16]) -> F32:
+    """[0, 1], in the 256 steps that the exported pictures have."""
+    return np.asarray((pixels.astype(np.uint32) + 128) // 257, np.float32) / np.float32(255)
+
+
+def _sample(picture: F32, uv: F32) -> F32:
+    """(N, C) bilinear values of a picture (S, S, C) at texture coordinates (N, 2)."""
+    size = len(picture)
+    x, y = np.clip(uv * size - 0.5, 0, size - 1.001).T
+    left, top = x.astype(int), y.astype(int)
+    right, below = np.minimum(left + 1, size - 1), np.minimum(top + 1, size - 1)
+    across, down = (x - left)[:, None], (y - top)[:, None]
+    upper = picture[top, left] * (1 - across) + picture[top, right] * across
+    lower = picture[below, left] * (1 - across) + picture[below, right] * across
+    return np.asarray(upper * (1 - down) + lower * down, np.float32)
+
+
+def _unit(vectors: F32) -> F32:
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.asarray(vectors / np.maximum(length, 1e-9), np.float32)

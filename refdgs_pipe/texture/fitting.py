@@ -1,0 +1,271 @@
+"""Material and light, told apart by how the same places look from many sides.
+
+The asset's own equation is fitted to what the field shows: metallic-roughness with the split sum
+(`refdgs_pipe.light`), light from far away, and the object's own radiance where a mirrored ray
+meets the object. docs/asset.md says what decides what.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from refdgs_pipe.artifacts.appearance import Appearance
+from refdgs_pipe.artifacts.mesh import TriangleMesh
+from refdgs_pipe.light import Environment, blur, lookups
+from refdgs_pipe.received import Sky, links_of, look_around, spread
+from refdgs_pipe.texture.sampling import Samples
+from refdgs_pipe.texture.unknowns import Batch, State, Unknown
+
+F32 = NDArray[np.float32]
+Ints = NDArray[np.int64]
+
+# Photos are exposed so that the light around is rarely darker than this on average.
+_LEAST_LIGHT = 0.3
+# The brightest that surfaces reflect: white paint, polished silver.
+_WHITE, _SILVER = 0.8, 0.9
+# The swing of the reflections over that of the light lies between these from plastic to metal.
+_PLASTIC, _METAL = 0.2, 0.4
+_OPEN = 0.6  # what sees less of the sky says little about how bright it is
+_SPLIT_SMOOTHING = 4
+_BATCH = 50_000
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How long and how hard the fit tries.
+
+    Args:
+        epochs: times that all samples are gone through, before and after metal is told.
+        rate: Adam's step.
+    """
+
+    epochs: tuple[int, int] = (20, 20)
+    rate: float = 0.05
+
+
+def fit(
+    mesh: TriangleMesh,
+    samples: Samples,
+    light: F32,
+    *,
+    lift: float,
+    metal: bool,
+    plan: Plan | None = None,
+    threads: int = 1,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Appearance:
+    """The materials and the light under which the mesh looks as the field does.
+
+    Args:
+        light: (H, 2H, 3) first guess of the light, in any unit; H a multiple of 4.
+        lift: how far above the surface rays start, world units.
+        metal: whether there may be any.
+        threads: of torch; the result does not depend on it beyond rounding.
+        progress: called with epochs done and in all.
+    """
+    plan, before = plan or Plan(), torch.get_num_threads()
+    torch.set_num_threads(threads)
+    try:
+        return _fitted(_Problem(mesh, samples, light, lift), plan, metal, progress)
+    finally:
+        torch.set_num_threads(before)
+
+
+def _fitted(
+    problem: "_Problem", plan: Plan, metal: bool, progress: Callable[[int, int], None]
+) -> Appearance:
+    total = sum(plan.epochs)
+    state = problem.start(metal=metal)
+    first, second = plan.epochs
+    state = problem.descend(state, first, plan.rate, lambda done: progress(done, total))
+    if metal:
+        state = problem.split(state)
+    state = problem.descend(state, second, plan.rate, lambda done: progress(first + done, total))
+    return problem.result(state)
+
+
+def matte(mesh: TriangleMesh, *, lift: float) -> Appearance:
+    """The materials of a field without reflections: its diffuse radiance is all there is.
+
+    Args:
+        lift: how far above the surface rays start, world units.
+    """
+    count = len(mesh.vertices)
+    ones = np.ones(count, np.float32)
+    around = _look_around(mesh, lift)
+    wide = np.ones((count, 3), np.float32)
+    return Appearance(mesh.vertices, ones, 0 * ones, wide, ones, wide, around.openness, None)
+
+
+class _Problem:
+    """The samples as matrices, cut into batches of fixed membership."""
+
+    def __init__(self, mesh: TriangleMesh, samples: Samples, light: F32, lift: float) -> None:
+        self.mesh, self.samples, self.guess = mesh, samples, light
+        self.height = len(light)
+        self.blur = blur(self.height)
+        self.links = links_of(mesh.faces)
+        self.sky: Sky = _look_around(mesh, lift)
+        self.corners = _corner_matrix(mesh, samples.face, samples.weights)
+        near = samples.near_face >= 0
+        self.far = ~near
+        self.sent = self._filled(samples.radiance)
+        met = _corner_matrix(mesh, np.maximum(samples.near_face, 0), samples.near_weights)
+        self.near = np.where(near[:, None], met @ self.sent, 0).astype(np.float32)
+        self.looks = [_look_matrix(samples.mirrored, rows) for rows in self.blur.heights[:-1]]
+        order = np.random.default_rng(0).permutation(len(samples.face))
+        parts = np.array_split(order, max(1, round(len(order) / _BATCH)))
+        self.batches = [
+            Batch.of(samples, self.near, self.corners, self.looks, np.sort(part)) for part in parts
+        ]
+
+    def _filled(self, values: F32) -> F32:
+        """(V, C) mean of samples at each vertex; where there is none, what spreads to it."""
+        weight = np.asarray(self.corners.sum(0)).reshape(-1, 1)
+        mean = np.asarray(self.corners.T @ values, np.float32) / np.maximum(weight, 1e-6)
+        known = (weight > 1e-3).astype(np.float32)
+        mean *= known
+        for _ in range(60):
+            if known.all():
+                break
+            wider, share = spread(mean, self.links), spread(known, self.links)
+            fresh = (known == 0) & (share > 0)
+            mean = np.where(fresh, wider / np.maximum(share, 1e-9), mean)
+            known = np.where(fresh, 1, known).astype(np.float32)
+        return np.asarray(mean, np.float32)
+
+    def start(self, *, metal: bool) -> State:
+        """A first guess: the light's unit from what is brightest, metal from what mirrors most."""
+        count = len(self.mesh.vertices)
+        guess = Environment(self.guess)
+        mirrored = guess.mirrored(self.samples.mirrored, np.full(len(self.far), 0.2, np.float32))
+        far = self.far[:, None]
+        given, had = (self._filled(np.where(far, v, 0)) for v in (self.samples.specular, mirrored))
+        share = given.mean(1) / np.maximum(had.mean(1), 1e-4)
+        unit = max(
+            self._white_unit(guess),
+            _heavy_median(share, given.mean(1)) / _SILVER if metal else 0.0,
+            _LEAST_LIGHT / max(float(self.guess.mean()), 1e-6),
+        )
+        metallic = np.clip((share / unit - 0.06) / 0.5, 0.05, 0.9) if metal else np.zeros(count)
+        state = State(
+            np.maximum(self.guess.reshape(-1, 3) * np.float32(unit), 0.01),
+            np.full(count, 0.3, np.float32),
+            metallic.astype(np.float32),
+            np.full((count, 3), 0.8, np.float32),
+            np.ones((count, 1), np.float32),
+            np.ones((count, 3), np.float32),
+        )
+        return self._lit(state)
+
+    def _white_unit(self, guess: Environment) -> float:
+        """The factor of the guess under which hardly any diffuse colour is brighter than white."""
+        diffuse = self._filled(self.samples.diffuse).mean(1)
+        nothing = np.zeros_like(self.sent)
+        far = self.sky.received(guess, nothing).mean(1)
+        dark = Environment(np.zeros_like(self.guess))
+        near = self.sky.received(dark, self.sent).mean(1)
+        seen = (np.asarray(self.corners.sum(0)).reshape(-1) > 1) & (self.sky.openness > _OPEN)
+        if not seen.any():
+            return 0.0
+        needed = (diffuse / _WHITE - near) / np.maximum(far, 1e-4)
+        return float(np.quantile(needed[seen], 0.95))
+
+    def _lit(self, state: State) -> State:
+        """The state with the light that reaches each vertex brought up to date."""
+        around = Environment(state.light.reshape(self.height, -1, 3))
+        received = self.sky.received(around, self.sent)
+        return replace(state, received=np.maximum(received, 1e-3))
+
+    def split(self, state: State) -> State:
+        """Tell metal by how much its radiance swings from view to view.
+
+        A surface sends light * reflectance, so over the views of one place the deviation of what
+        it sends is that of the light that it mirrors, times its reflectance. This needs no
+        correct normal: a wrong one mirrors other light, but light that varies as much.
+        """
+        around = Environment(state.light.reshape(self.height, -1, 3))
+        rough = np.asarray(self.corners @ state.roughness, np.float32)
+        mirrored = around.mirrored(self.samples.mirrored, rough)
+        mirrored = np.where(self.far[:, None], mirrored, self.near)
+        swing = self._deviation(self.samples.specular)
+        share = swing / np.maximum(self._deviation(mirrored), 1e-3)
+        step = np.clip((share - _PLASTIC) / (_METAL - _PLASTIC), 0, 1)
+        metallic = (step * step * (3 - 2 * step)).astype(np.float32)
+        return self._lit(replace(state, metallic=metallic, is_told=True))
+
+    def _deviation(self, values: F32) -> F32:
+        """(V,) standard deviation over the samples around each vertex."""
+        weight = np.asarray(self.corners.sum(0)).reshape(-1, 1)
+        first = np.asarray(self.corners.T @ values, np.float32)
+        second = np.asarray(self.corners.T @ (values * values), np.float32)
+        known = np.maximum(weight, 1e-6)
+        spread_out = np.maximum(second - first * first / known, 0)
+        both = np.concatenate([spread_out.mean(1, keepdims=True), weight], 1).astype(np.float32)
+        for _ in range(_SPLIT_SMOOTHING):
+            both = spread(both, self.links)
+        return np.asarray(np.sqrt(both[:, 0] / np.maximum(both[:, 1], 1e-6)), np.float32)
+
+    def descend(
+        self, state: State, epochs: int, rate: float, progress: Callable[[int], None]
+    ) -> State:
+        """Adam on all unknowns, batch by batch."""
+        unknown = Unknown(state)
+        optimizer = torch.optim.Adam(unknown.groups(rate))
+        links = torch.from_numpy(self.links)
+        for epoch in range(epochs):
+            progress(epoch)
+            for batch in self.batches:
+                optimizer.zero_grad(set_to_none=True)
+                loss = ((batch.shown(unknown, self.blur) - batch.target) ** 2).mean()
+                (loss + unknown.roughening(links, self.height)).backward()  # type: ignore[no-untyped-call]
+                optimizer.step()
+        return self._lit(unknown.state())
+
+    def result(self, state: State) -> Appearance:
+        """What was found, as it is kept."""
+        return Appearance(
+            points=self.mesh.vertices,
+            roughness=state.roughness,
+            metallic=state.metallic,
+            tint=state.tint,
+            gain=state.gain[:, 0],
+            received=state.received,
+            openness=self.sky.openness,
+            environment=state.light.reshape(self.height, -1, 3),
+        )
+
+
+def _look_around(mesh: TriangleMesh, lift: float) -> Sky:
+    return look_around(mesh.vertices, mesh.faces, mesh.vertex_normals(), lift=lift)
+
+
+def _heavy_median(values: F32, weights: F32) -> float:
+    """The value below which half of the weight lies."""
+    order = values.argsort()
+    total = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(total, total[-1] / 2)])
+
+
+def _corner_matrix(mesh: TriangleMesh, face: Ints, weights: F32) -> Any:
+    """Sparse (N, V): values at places in faces from values at vertices."""
+    from scipy.sparse import csr_array
+
+    start = np.arange(0, 3 * len(face) + 1, 3)
+    columns = mesh.faces[face].reshape(-1)
+    shape = (len(face), len(mesh.vertices))
+    return csr_array((weights.reshape(-1).astype(np.float32), columns, start), shape=shape)
+
+
+def _look_matrix(directions: F32, height: int) -> Any:
+    """Sparse (N, 2 height^2): values in directions from a lat-long picture."""
+    from scipy.sparse import csr_array
+
+    index, weights = lookups(directions, height)
+    start = np.arange(0, 4 * len(index) + 1, 4)
+    shape = (len(index), 2 * height * height)
+    return csr_array((weights.reshape(-1), index.reshape(-1), start), shape=shape)

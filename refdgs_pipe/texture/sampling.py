@@ -1,0 +1,129 @@
+"""Pixels of many views, put on the mesh: what each shows, and what its mirrored ray meets."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from refdgs_pipe.artifacts.mesh import TriangleMesh
+from refdgs_pipe.artifacts.surface_map import SurfaceMap
+from refdgs_pipe.errors import MeshError
+from refdgs_pipe.tracing import Solid, at_hits
+
+F32 = NDArray[np.float32]
+Ints = NDArray[np.int64]
+_MIN_ALPHA = 0.9
+_MIN_COSINE = 0.1
+
+
+@dataclass(frozen=True)
+class Samples:
+    """N places on a mesh, each as one view sees it.
+
+    Args:
+        face: (N,) of the mesh; weights: (N, 3) of its corners.
+        cosine: (N,) between the normal and the way to the eye.
+        mirrored: (N, 3) unit, where the mirrored ray goes.
+        near_face: (N,) the face that it meets, -1 for none; near_weights: (N, 3).
+        diffuse, specular: (N, 3) linear radiance, as the field splits it.
+        roughness: (N,) as the field has it.
+    """
+
+    face: Ints
+    weights: F32
+    cosine: F32
+    mirrored: F32
+    near_face: Ints
+    near_weights: F32
+    diffuse: F32
+    specular: F32
+    roughness: F32
+
+    @property
+    def radiance(self) -> F32:
+        """(N, 3) what the eye gets, linear."""
+        return self.diffuse + self.specular
+
+
+class Sampler:
+    """Takes some pixels of one view after another.
+
+    Args:
+        tolerance: how far mesh and map may lie apart, world units.
+        per_view: the most pixels of a view.
+    """
+
+    def __init__(self, mesh: TriangleMesh, *, tolerance: float, per_view: int) -> None:
+        self.mesh, self.tolerance, self.per_view = mesh, tolerance, per_view
+        self._normals = mesh.vertex_normals()
+        self._solid = Solid(mesh.vertices, mesh.faces)
+        self._parts: list[Samples] = []
+
+    @property
+    def pixels(self) -> int:
+        """The longest side of a view that has enough pixels to take."""
+        return max(256, int(3 * float(np.sqrt(self.per_view))))
+
+    def add(self, view: SurfaceMap) -> int:
+        """Take what one view shows; gives how many of its pixels were taken."""
+        camera = view.camera
+        solid = np.flatnonzero((view.alpha.reshape(-1) >= _MIN_ALPHA) & (view.depth.ravel() > 0))
+        chance = np.random.default_rng(len(self._parts))
+        pixels = np.sort(chance.permutation(solid)[: 2 * self.per_view])
+        if not len(pixels):
+            return 0
+        rays = camera.pixel_rays().reshape(-1, 3)[pixels] @ camera.cam_from_world[:3, :3]
+        hits = self._solid.first(camera.center.astype(np.float32), rays.astype(np.float32))
+        rows = pixels[hits.rays]
+        near = np.abs(hits.distance - view.depth.reshape(-1)[rows]) < self.tolerance
+        toward = -rays[hits.rays] / np.linalg.norm(rays[hits.rays], axis=1, keepdims=True)
+        normal = view.normal.reshape(-1, 3)[rows]
+        cosine = (normal * toward).sum(1)
+        good = np.flatnonzero(near & (cosine > _MIN_COSINE))[: self.per_view]
+        if not len(good):
+            return 0
+        rows, face, weights = rows[good], hits.face[good], hits.weights[good]
+        mirrored = 2 * cosine[good, None] * normal[good] - toward[good]
+        near_face, near_weights = self._mirror(face, weights, mirrored.astype(np.float32))
+        self._parts.append(
+            Samples(
+                face,
+                weights,
+                cosine[good].astype(np.float32),
+                mirrored.astype(np.float32),
+                near_face,
+                near_weights,
+                view.diffuse.reshape(-1, 3)[rows],
+                view.specular.reshape(-1, 3)[rows],
+                view.roughness.reshape(-1)[rows],
+            )
+        )
+        return len(rows)
+
+    def _mirror(self, face: Ints, weights: F32, mirrored: F32) -> tuple[Ints, F32]:
+        """What the mirrored rays meet: faces, -1 for none, and weights of their corners."""
+        mesh = self.mesh
+        points = at_hits(mesh.vertices, mesh.faces, face, weights)
+        lift = at_hits(self._normals, mesh.faces, face, weights) * np.float32(self.tolerance / 2)
+        hits = self._solid.first(points + lift, mirrored)
+        found = np.full(len(face), -1, np.int64)
+        found[hits.rays] = hits.face
+        corners = np.zeros((len(face), 3), np.float32)
+        corners[hits.rays] = hits.weights
+        return found, corners
+
+    def samples(self) -> Samples:
+        """All of them.
+
+        Raises:
+            MeshError: no view shows any part of the mesh.
+        """
+        if not self._parts:
+            raise MeshError(
+                "no view shows any part of the mesh: the mesh and the cameras do not belong "
+                "together. Run extract again, or drop the adopted mesh"
+            )
+        fields = Samples.__dataclass_fields__
+        return Samples(
+            **{name: np.concatenate([getattr(p, name) for p in self._parts]) for name in fields}
+        )

@@ -1,0 +1,206 @@
+"""The unknowns of the fit of material and light, and the pictures that they make: torch's side."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from refdgs_pipe.light import (
+    DIELECTRIC,
+    ROUGHNESSES,
+    SMOOTHEST,
+    Blur,
+    level_weights,
+    reflection_line,
+)
+from refdgs_pipe.texture.sampling import Samples
+
+F32 = NDArray[np.float32]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class State:
+    """The unknowns as numbers: per vertex, and the light's flat picture.
+
+    Args:
+        light: (H * 2H, 3); received: (V, 3) what a white matte surface would show.
+        roughness, metallic: (V,); tint: (V, 3); gain: (V, 1), of the diffuse radiance.
+        is_told: whether `metallic` is what was told, and to be kept near.
+    """
+
+    light: F32
+    roughness: F32
+    metallic: F32
+    tint: F32
+    gain: F32
+    received: F32
+    is_told: bool = False
+
+
+class Unknown:
+    """The unknowns while they change: unbounded, on torch's tape."""
+
+    def __init__(self, state: State) -> None:
+        def leaf(values: F32) -> Tensor:
+            return torch.from_numpy(np.array(values, np.float32)).requires_grad_()
+
+        self.light = leaf(np.log(state.light))
+        self.rough = leaf(_logit((state.roughness - SMOOTHEST) / (1 - SMOOTHEST))[:, None])
+        self.metal = leaf(_logit(state.metallic)[:, None])
+        self.tint = leaf(_logit(state.tint))
+        self.gain = leaf(np.log(state.gain))
+        self.received = torch.from_numpy(state.received)
+        self.told = torch.from_numpy(state.metallic[:, None]) if state.is_told else None
+
+    def groups(self, rate: float) -> list[dict[str, Any]]:
+        fast, slow = [self.rough, self.metal], [self.light, self.tint, self.gain]
+        return [{"params": fast, "lr": rate}, {"params": slow, "lr": 0.6 * rate}]
+
+    def materials(self) -> Tensor:
+        """(V, 9): roughness, metallic, gain, tint 3, received 3."""
+        rough = SMOOTHEST + (1 - SMOOTHEST) * torch.sigmoid(self.rough)
+        parts = [rough, torch.sigmoid(self.metal), self.gain.exp(), torch.sigmoid(self.tint)]
+        return torch.cat([*parts, self.received], 1)
+
+    def roughening(self, links: Tensor, height: int) -> Tensor:
+        """What is held against unknowns that differ between neighbours, or from what was told."""
+        total = 1e-4 * (self.gain**2).mean()
+        for values, weight in (
+            (self.rough, 1e-3),
+            (self.metal, 3e-4),
+            (self.tint, 3e-4),
+            (self.gain, 1e-3),
+        ):
+            total = total + weight * (values[links[:, 0]] - values[links[:, 1]]).abs().mean()
+        sky = self.light.reshape(height, 2 * height, 3)
+        total = total + 2e-4 * (
+            (sky - sky.roll(1, 1)).abs().mean() + (sky[1:] - sky[:-1]).abs().mean()
+        )
+        if self.told is not None:
+            total = total + 0.02 * ((torch.sigmoid(self.metal) - self.told) ** 2).mean()
+        return total
+
+    def state(self) -> State:
+        with torch.no_grad():
+            found = self.materials()
+            rough, metal, gain = (found[:, i].numpy() for i in range(3))
+            return State(
+                self.light.exp().numpy(),
+                rough,
+                metal,
+                found[:, 3:6].numpy(),
+                gain[:, None],
+                self.received.numpy(),
+                self.told is not None,
+            )
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Some samples, ready to be drawn from the unknowns."""
+
+    corners: Any
+    looks: list[Any]
+    cosine: Tensor
+    diffuse: Tensor
+    near: Tensor
+    is_far: Tensor
+    target: Tensor
+
+    @classmethod
+    def of(
+        cls, samples: Samples, near: F32, corners: Any, looks: Sequence[Any], rows: Ints
+    ) -> "Batch":
+        """Some rows of the samples.
+
+        Args:
+            near: (N, 3) radiance that mirrored rays meet on the mesh.
+            corners: sparse (N, V), from vertices to samples; looks: one matrix (N, texels) for
+                every level of the light.
+        """
+
+        def tensor(values: NDArray[Any]) -> Tensor:
+            return torch.from_numpy(np.ascontiguousarray(values, np.float32))
+
+        return cls(
+            _Pair.of(corners[rows]),
+            [_Pair.of(look[rows]) for look in looks],
+            tensor(samples.cosine[rows, None]).clamp(0.02, 1),
+            tensor(samples.diffuse[rows]),
+            tensor(near[rows]),
+            tensor(samples.near_face[rows, None] < 0),
+            _encoded(tensor(samples.radiance[rows])),
+        )
+
+    def shown(self, unknown: Unknown, blurring: Blur) -> Tensor:
+        """(n, 3) what the asset shows there, sRGB-encoded."""
+        there = _Apply.apply(unknown.materials(), self.corners)  # type: ignore[no-untyped-call]
+        rough, metal, gain = there[:, 0:1], there[:, 1:2], there[:, 2:3]
+        tint, received = there[:, 3:6], there[:, 6:9]
+        levels = _Blurred.apply(unknown.light.exp(), blurring)  # type: ignore[no-untyped-call]
+        far = torch.zeros_like(tint)
+        for weight, look, level in zip(level_weights(rough), self.looks, levels, strict=True):
+            far = far + weight * _Apply.apply(level, look)  # type: ignore[no-untyped-call]
+        painted = (self.diffuse * gain / received).clamp(max=1)
+        base = painted * (1 - metal) + tint * metal
+        scale, offset = reflection_line(rough, self.cosine)
+        f0 = DIELECTRIC * (1 - metal) + base * metal
+        mirrored = (far * self.is_far + self.near) * (f0 * scale + offset)
+        return _encoded(base * (1 - metal) * received + mirrored)
+
+
+@dataclass(frozen=True)
+class _Pair:
+    """A sparse matrix and its transpose."""
+
+    forward: Any
+    back: Any
+
+    @classmethod
+    def of(cls, matrix: Any) -> "_Pair":
+        return cls(matrix.tocsr(), matrix.T.tocsr())
+
+
+class _Apply(torch.autograd.Function):
+    """A sparse matrix times a dense one."""
+
+    @staticmethod
+    def forward(ctx: Any, values: Tensor, pair: _Pair) -> Tensor:
+        ctx.pair = pair
+        return torch.from_numpy(np.asarray(pair.forward @ values.detach().numpy()))
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None]:
+        return torch.from_numpy(np.asarray(ctx.pair.back @ gradients[0].numpy())), None
+
+
+class _Blurred(torch.autograd.Function):
+    """The light's levels, sharp to rough."""
+
+    @staticmethod
+    def forward(ctx: Any, picture: Tensor, blurring: Blur) -> tuple[Tensor, ...]:
+        ctx.blurring = blurring
+        found = blurring(picture.detach().numpy())[: len(ROUGHNESSES)]
+        return tuple(torch.from_numpy(np.array(level)) for level in found)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None]:
+        matte = np.zeros((2 * ctx.blurring.heights[-1] ** 2, 3), np.float32)
+        rows = [gradient.numpy() for gradient in gradients]
+        return torch.from_numpy(ctx.blurring.transposed([*rows, matte])), None
+
+
+def _encoded(linear: Tensor) -> Tensor:
+    """sRGB of linear light, clipped at white as photos are."""
+    x = linear.clamp(1e-5, 1)
+    return torch.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
+
+
+def _logit(values: F32) -> F32:
+    inside = np.clip(values, 0.02, 0.98).astype(np.float32)
+    return np.asarray(np.log(inside / (1 - inside)), np.float32)

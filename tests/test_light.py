@@ -1,0 +1,102 @@
+"""Light looked up, blurred and received is what the integrals say."""
+
+import numpy as np
+import pytest
+from solids import sphere
+
+from refdgs_pipe.light import (
+    ROUGHNESSES,
+    Environment,
+    blur,
+    ggx_lobe,
+    level_weights,
+    looked_up,
+    reflected_share,
+    solid_angles,
+    texel_directions,
+)
+from refdgs_pipe.received import look_around
+from refdgs_pipe.tracing import Solid, cosine_rays
+
+RANDOM = np.random.default_rng(0)
+
+
+def unit(count: int) -> np.ndarray:
+    found = RANDOM.normal(size=(count, 3))
+    return (found / np.linalg.norm(found, axis=1, keepdims=True)).astype(np.float32)
+
+
+def test_texels_cover_the_sphere_once_and_look_themselves_up() -> None:
+    assert solid_angles(16).sum() == pytest.approx(4 * np.pi)
+    picture = RANDOM.random((16, 32, 3)).astype(np.float32)
+    np.testing.assert_allclose(looked_up(picture, texel_directions(16)), picture, atol=1e-5)
+
+
+def test_even_light_stays_even_however_rough() -> None:
+    even = Environment(np.full((32, 64, 3), 2.0, np.float32))
+    for roughness in (0.0, 0.15, 0.5, 1.0):
+        found = even.mirrored(unit(50), np.full(50, roughness, np.float32))
+        np.testing.assert_allclose(found, 2, rtol=1e-5)
+    np.testing.assert_allclose(even.scattered(unit(50)), 2, rtol=1e-5)
+
+
+def test_light_is_blurred_as_ggx_says() -> None:
+    around = texel_directions(64).reshape(-1, 3)
+    slope = np.array([0.48, -0.6, 0.64])
+
+    def bright(directions: np.ndarray) -> np.ndarray:
+        return np.repeat(np.exp(3 * directions @ slope)[:, None], 3, axis=1)
+
+    light = Environment(bright(around).reshape(64, 128, 3).astype(np.float32))
+    towards = np.concatenate([slope[None], unit(20)]).astype(np.float32)
+    size = solid_angles(64).reshape(-1)
+    for roughness in ROUGHNESSES[1:]:
+        weights = ggx_lobe(towards @ around.T, roughness) * size
+        exact = weights @ bright(around) / weights.sum(1, keepdims=True)
+        found = light.mirrored(towards, np.full(len(towards), roughness, np.float32))
+        # the texels of the blurred pictures are up to 11 degrees wide
+        np.testing.assert_allclose(found, exact, rtol=0.03, atol=0.02)
+
+
+def test_levels_add_up_and_the_gradient_is_the_transpose() -> None:
+    rough = np.linspace(ROUGHNESSES[0], 1, 40)
+    np.testing.assert_allclose(sum(level_weights(rough)), 1, atol=1e-6)
+    blurring = blur(16)
+    picture = RANDOM.random((512, 3)).astype(np.float32)
+    levels = blurring(picture)
+    gradients = [RANDOM.random(level.shape).astype(np.float32) for level in levels]
+    forward = sum(float((a * b).sum()) for a, b in zip(levels, gradients, strict=True))
+    assert forward == pytest.approx(float((blurring.transposed(gradients) * picture).sum()), 1e-4)
+
+
+def test_what_is_mirrored_is_f0_straight_on_and_all_at_grazing() -> None:
+    smooth = np.full((2, 1), 0.02, np.float32)
+    share = reflected_share(np.float32([[0.04], [0.04]]), smooth, np.float32([[1], [0.0]]))
+    assert share[0, 0] == pytest.approx(0.04, abs=0.01)
+    assert share[1, 0] > 0.9
+
+
+def test_rays_about_a_normal_have_the_cosines_mean() -> None:
+    normals = unit(200)
+    heights = [(cosine_rays(normals, 64, i) * normals).sum(1) for i in range(64)]
+    assert np.mean(heights) == pytest.approx(2 / 3, abs=0.01)
+    assert np.min(heights) > 0
+
+
+def test_a_ball_in_the_open_receives_the_whole_sky_and_one_inside_none() -> None:
+    ball = sphere(16)
+    sky = look_around(ball.vertices, ball.faces, ball.vertices, lift=0.01)
+    even = Environment(np.full((16, 32, 3), 0.5, np.float32))
+    nothing = np.zeros_like(ball.vertices)
+    np.testing.assert_allclose(sky.received(even, nothing), 0.5, rtol=1e-4)
+    np.testing.assert_allclose(sky.openness, 1)
+    inward = look_around(ball.vertices, ball.faces, -ball.vertices, lift=0.01)
+    np.testing.assert_allclose(inward.received(even, nothing + 0.25), 0.25, rtol=1e-4)
+
+
+def test_rays_meet_what_is_first() -> None:
+    ball = sphere(24)
+    origins = np.float32([[0, 0, 3], [0, 0, 3]])
+    hits = Solid(ball.vertices, ball.faces).first(origins, np.float32([[0, 0, -1], [0, 0, 1]]))
+    assert hits.rays.tolist() == [0]
+    assert hits.distance[0] == pytest.approx(2, abs=0.02)

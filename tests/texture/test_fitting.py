@@ -1,0 +1,86 @@
+"""Material and light are told apart where the views say enough."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes import Scene, Sphere, constant, gradient_sky, orbit, waves
+from solids import sphere
+
+from refdgs_pipe.artifacts.appearance import Appearance
+from refdgs_pipe.artifacts.mesh import TriangleMesh
+from refdgs_pipe.errors import CorruptError, MeshError
+from refdgs_pipe.light import texel_directions
+from refdgs_pipe.texture.fitting import Plan, fit, matte
+from refdgs_pipe.texture.sampling import Sampler, Samples
+
+HEIGHT = 32
+SILVER = Sphere((-0.55, 0, 0), 0.5, constant(0, 0, 0), specular=(0.9, 0.85, 0.8))
+PLASTIC = Sphere((0.55, 0, 0), 0.5, waves, specular=(0.04, 0.04, 0.04))
+SKY = gradient_sky(texel_directions(HEIGHT).reshape(-1, 3)).reshape(HEIGHT, -1, 3)
+
+
+def two_balls() -> TriangleMesh:
+    left, right = (sphere(16, center=solid.center, radius=0.5) for solid in (SILVER, PLASTIC))
+    return TriangleMesh(
+        np.concatenate([left.vertices, right.vertices]),
+        np.concatenate([left.faces, right.faces + len(left.vertices)]),
+    )
+
+
+def samples_of(scene: Scene, mesh: TriangleMesh) -> Samples:
+    sampler = Sampler(mesh, tolerance=0.03, per_view=1500)
+    for camera in orbit(24):
+        sampler.add(scene.surface_map(camera))
+    return sampler.samples()
+
+
+@pytest.fixture(scope="module")
+def fitted() -> Appearance:
+    mesh = two_balls()
+    guess = (0.1 * SKY).astype(np.float32)  # the right picture in the wrong unit
+    samples = samples_of(Scene((SILVER, PLASTIC), gradient_sky), mesh)
+    # The procedural views show no reflections between the balls.
+    alone = replace(samples, near_face=np.full_like(samples.near_face, -1))
+    return fit(mesh, alone, guess, lift=0.01, metal=True, plan=Plan(epochs=(40, 40)))
+
+
+def test_a_mirror_is_metal_and_glossy_plastic_is_not(fitted: Appearance) -> None:
+    silver = fitted.points[:, 0] < 0
+    assert np.median(fitted.metallic[silver]) > 0.8
+    assert np.median(fitted.metallic[~silver]) < 0.1
+    assert np.median(fitted.roughness[silver]) < 0.3
+
+
+def test_the_lights_unit_is_found_from_what_mirrors_it(fitted: Appearance) -> None:
+    assert fitted.environment is not None
+    assert 0.6 < fitted.environment.mean() / SKY.mean() < 1.7
+
+
+def test_openness_is_what_the_other_ball_leaves_of_the_sky(fitted: Appearance) -> None:
+    facing = np.abs(fitted.points[:, 0]) < 0.15
+    away = np.abs(fitted.points[:, 0]) > 0.9
+    assert fitted.openness[away].min() > 0.99
+    assert fitted.openness[facing].max() < 0.85
+
+
+def test_a_matte_field_has_no_light_of_its_own() -> None:
+    looks = matte(two_balls(), lift=0.01)
+    assert looks.environment is None and looks.metallic.max() == 0 and looks.roughness.min() == 1
+
+
+def test_without_any_sample_there_is_no_fit() -> None:
+    mesh = two_balls()
+    far = TriangleMesh(mesh.vertices + np.float32(50), mesh.faces)
+    with pytest.raises(MeshError, match="no view shows any part of the mesh"):
+        samples_of(Scene((SILVER,), gradient_sky), far)
+
+
+def test_an_appearance_comes_back_as_it_was(fitted: Appearance, tmp_path) -> None:  # type: ignore[no-untyped-def]
+    fitted.save(tmp_path)
+    again = Appearance.load(tmp_path)
+    np.testing.assert_array_equal(again.tint, fitted.tint)
+    np.testing.assert_array_equal(again.environment, fitted.environment)
+    (tmp_path / "appearance.safetensors").write_bytes(b"no")
+    with pytest.raises(CorruptError, match="run the stage appearance again"):
+        Appearance.load(tmp_path)
