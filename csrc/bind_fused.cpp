@@ -74,24 +74,25 @@ MlpParameters<S> mlp_parameters(const std::vector<Address>& weights, const std::
 // shape: points, inputs, hidden layers, outputs, half; cap: empty, or of the exponential.
 template <class S>
 MlpPoints<S> mlp_points(const std::vector<int64_t>& shape, Address x, const std::vector<int64_t>& strides,
-                        const std::vector<double>& cap) {
-  return {shape[0], at<S>(x), strides[0], strides[1], !cap.empty(), cap.empty() ? 0 : cap[0], shape[4] != 0};
+                        const std::vector<double>& cap, Address kept) {
+  return {shape[0],     at<S>(x), strides[0], strides[1], !cap.empty(), cap.empty() ? 0 : cap[0],
+          shape[4] != 0, at<uint32_t>(kept)};
 }
 MlpShape mlp_shape(const std::vector<int64_t>& shape) { return {int(shape[1]), int(shape[2]), int(shape[3])}; }
 
 template <class S> void bind_mlp(nb::module_& m, const char* name, const char* bwd_name) {
   using Addresses = const std::vector<Address>&;
   m.def(name, [](const std::vector<int64_t>& shape, Address x, const std::vector<int64_t>& strides, Addresses weights,
-                 Addresses biases, const std::vector<double>& cap, int threads, Address out) {
+                 Addresses biases, const std::vector<double>& cap, Address kept, int threads, Address out) {
     nb::gil_scoped_release release;
-    mlp(mlp_shape(shape), mlp_points<S>(shape, x, strides, cap), mlp_parameters<const S>(weights, biases), threads,
+    mlp(mlp_shape(shape), mlp_points<S>(shape, x, strides, cap, kept), mlp_parameters<const S>(weights, biases), threads,
         at<S>(out));
   });
   m.def(bwd_name, [](const std::vector<int64_t>& shape, Address x, const std::vector<int64_t>& strides,
-                     Addresses weights, Addresses biases, const std::vector<double>& cap, int threads, Address out,
-                     Address v_out, Address v_x, Addresses v_weights, Addresses v_biases) {
+                     Addresses weights, Addresses biases, const std::vector<double>& cap, Address kept, int threads,
+                     Address out, Address v_out, Address v_x, Addresses v_weights, Addresses v_biases) {
     nb::gil_scoped_release release;
-    mlp_bwd(mlp_shape(shape), mlp_points<S>(shape, x, strides, cap), mlp_parameters<const S>(weights, biases),
+    mlp_bwd(mlp_shape(shape), mlp_points<S>(shape, x, strides, cap, kept), mlp_parameters<const S>(weights, biases),
             threads, at<S>(out), at<const S>(v_out), at<S>(v_x), mlp_parameters<S>(v_weights, v_biases));
   });
 }
@@ -172,6 +173,7 @@ template <class S> void bind_shade(nb::module_& m, const std::string& type) {
 void bind_fused(nb::module_& m) {
   bind_image_loss<float>(m, "image_loss_float");
   bind_image_loss<double>(m, "image_loss_double");
+  m.def("mlp_kept", [](const std::vector<int64_t>& shape) { return mlp_kept(mlp_shape(shape), shape[0], shape[4] != 0); });
   bind_mlp<float>(m, "mlp_float", "mlp_bwd_float");
   bind_mlp<double>(m, "mlp_double", "mlp_bwd_double");
   bind_shade<float>(m, "float");

@@ -80,6 +80,7 @@ MlpFrame<S> make_frame(const MlpShape& shape, const MlpPoints<S>& points, const 
   frame.x = points.x;
   frame.x_row = points.x_row;
   frame.x_column = points.x_column;
+  frame.kept = points.kept;
   pack(net, frame, memory);
   return frame;
 }
@@ -95,6 +96,10 @@ template <class S, class F> void each_chunk(int64_t count, int threads, F&& body
 }
 
 }  // namespace
+
+int64_t mlp_kept(const MlpShape& shape, int64_t count, bool half) {
+  return half && half_products() ? (count + kMlpBlock - 1) / kMlpBlock * shape.hidden_layers * kMlpPairs : 0;
+}
 
 template <class S>
 void mlp(const MlpShape& shape, const MlpPoints<S>& points, const MlpParameters<const S>& net, int threads, S* out) {

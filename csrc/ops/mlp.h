@@ -34,6 +34,7 @@ template <class S> struct MlpFrame {
   S* out;               // [points][outputs]
   const S* v_out;       // [points][outputs]
   S* v_x;               // [points][inputs], may be null
+  uint32_t* kept;       // [blocks][hidden layers][kMlpPairs] hidden values of half products, may be null
 };
 
 // Scalars of a thread's working memory, which must be aligned to 64 bytes: of the exact kernels, and of
@@ -66,7 +67,11 @@ template <class S> struct MlpPoints {
   bool has_exp;
   double cap;
   bool half;
+  uint32_t* kept;  // hidden values from forward to backward: mlp_kept() numbers, or null to compute them again
 };
+
+// Numbers that `kept` needs; 0 where hidden values are not kept: with float products.
+int64_t mlp_kept(const MlpShape& shape, int64_t count, bool half);
 
 // With points.half, float products are of bfloat16 numbers where the CPU has such (`half_products`).
 template <class S>

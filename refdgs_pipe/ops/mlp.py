@@ -15,6 +15,7 @@ HIDDEN = 64
 MAX_INPUTS = 32
 MAX_OUTPUTS = 4
 MAX_HIDDEN_LAYERS = 8
+MOST_KEPT = 64 << 20  # hidden values, in 4-byte pairs: 256 MiB, about 700,000 points of three layers
 
 
 def mlp(
@@ -28,8 +29,9 @@ def mlp(
 ) -> Tensor:
     """Hidden layers of 64 with ReLU, then a linear layer, then exp(min(y, exp_cap)) if asked for.
 
-    Nothing is kept for the backward pass but x and the result: hidden values are computed again.
-    Above the cap a gradient passes only if it lowers the result, as `clip` has it.
+    With float products nothing is kept for the backward pass but x and the result: hidden values
+    are computed again. As bfloat16 numbers they are kept, 128 bytes a point and layer, if that is at
+    most 256 MiB. Above the cap a gradient passes only if it lowers the result, as `clip` has it.
 
     Args:
         x: (P, inputs), at most 32 inputs, any strides.
@@ -71,6 +73,11 @@ class _Mlp(torch.autograd.Function):
         out = x.new_empty(len(x), outputs)
         ctx.shape = [*x.shape, layers - 1, outputs, half]
         ctx.cap, ctx.threads = [] if exp_cap is None else [exp_cap], threads
+        single, needed = x.dtype == torch.float32, any(ctx.needs_input_grad)
+        numbers = native.mlp_kept(ctx.shape) if single and needed else 0
+        ctx.kept = None
+        if 0 < numbers <= MOST_KEPT:
+            ctx.kept = torch.empty(numbers, dtype=torch.int32)
         run = native.mlp_float if x.dtype == torch.float32 else native.mlp_double
         run(*_call(ctx, x, parameters), out.data_ptr())
         ctx.save_for_backward(x, out, *parameters)
@@ -95,7 +102,8 @@ class _Mlp(torch.autograd.Function):
 
 def _call(ctx: Any, x: Tensor, parameters: Sequence[Tensor]) -> tuple[Any, ...]:
     where = _addresses(parameters)
-    return ctx.shape, x.data_ptr(), list(x.stride()), *where, ctx.cap, ctx.threads
+    kept = 0 if ctx.kept is None else ctx.kept.data_ptr()
+    return ctx.shape, x.data_ptr(), list(x.stride()), *where, ctx.cap, kept, ctx.threads
 
 
 def _addresses(parameters: Sequence[Tensor]) -> tuple[list[int], list[int]]:
