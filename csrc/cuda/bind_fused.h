@@ -74,7 +74,8 @@ MlpCall<S> mlp_call(Size shape, Address x, Strides strides, Addresses weights, A
   MlpCall<S> call{};
   call.shape = {int(shape[1]), int(shape[2]), int(shape[3])};
   call.blocks = int(shape[4]);
-  call.points = {shape[0], at<S>(x), strides[0], strides[1], !cap.empty(), cap.empty() ? 0 : cap[0], false};
+  call.points = {shape[0], !cap.empty(), cap.empty() ? 0 : cap[0], false, nullptr};
+  call.x = at<const S>(x), call.x_row = strides[0], call.x_column = strides[1];
   call.cap = S(call.points.cap), call.largest = std::exp(call.cap);
   for (size_t l = 0; l < weights.size(); ++l)
     call.net.weights[l] = at<const S>(weights[l]), call.net.bias[l] = at<const S>(biases[l]);

@@ -56,7 +56,7 @@ template <class S> struct MlpTile {
   template <class Thread> REFDGS_KERNEL void load_x(Thread& t, S* to) const {
     for (int i = t.thread(); i < f.shape.inputs * kMlpPoints; i += kMlpThreads) {
       const int c = i / kMlpPoints, p = i % kMlpPoints;
-      to[c * kMlpSide + p] = p < points ? f.points.x[(begin + p) * f.points.x_row + c * f.points.x_column] : S(0);
+      to[c * kMlpSide + p] = p < points ? f.x[(begin + p) * f.x_row + c * f.x_column] : S(0);
     }
   }
 

@@ -188,7 +188,7 @@ void half_first_vjp(const MlpFrame<float>& f, int64_t begin, const HalfBlock& bl
   const int rows = block.exact.rows;
   half_pack(block.exact.x, rows, V * 16, block.x_pairs);
   half_weights_vjp<8, V>(kHidden, rows, block.g_pairs, block.x_pairs, v_weights);
-  if (!f.v_x) return;
+  if (!f.v_x.count) return;
   half_product<8, V>(
       rows, kHidden / 2, {g_rows, 32, 1}, block.to_inputs[0], [](int, int) { return vf32{}; },
       [&](int row, vf32(*y)[V]) {

@@ -131,6 +131,7 @@ def rasterize(
     *,
     extra: Extra = "none",
     normals: bool = False,
+    needed: Tensor | None = None,
     threads: int | None = None,
 ) -> Maps:
     """Render surfels and their features, front to back (2D Gaussian Splatting, Huang et al. 2024).
@@ -144,6 +145,9 @@ def rasterize(
     Args:
         features: (N, C) what to blend; C <= 20, or 17 with normals.
         extra: which of the depth maps to make.
+        needed: (H, W) bool, pixels that will be looked at, or None for all. What the maps hold
+            elsewhere is not defined, and a gradient from there counts for nothing: the CPU leaves
+            these pixels empty, a GPU draws them.
         threads: default torch's; of the CPU.
 
     Raises:
@@ -151,13 +155,22 @@ def rasterize(
         DeviceError: the tensors are on a device that this build has no kernels for.
     """
     _check(surfels, features, camera, normals)
+    if needed is not None and (needed.dtype, tuple(needed.shape)) != (
+        torch.bool,
+        (camera.height, camera.width),
+    ):
+        raise ShapeError(
+            f"needed is {tuple(needed.shape)} of {needed.dtype}: give {camera.height} rows of "
+            f"{camera.width} torch.bool"
+        )
     if cuda.on_gpu(surfels.means):
         from refdgs_pipe.ops import cuda_rasterize
 
         return cuda_rasterize.draw(surfels, features, camera, extra, normals)
     from refdgs_pipe.ops.native import draw
 
-    return draw(surfels, features, camera, extra, normals, threads or torch.get_num_threads())
+    count = threads or torch.get_num_threads()
+    return draw(surfels, features, camera, extra, normals, count, needed)
 
 
 def _check(surfels: Surfels, features: Tensor, camera: Pinhole, normals: bool) -> None:

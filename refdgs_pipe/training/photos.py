@@ -123,14 +123,5 @@ def area_weights(large: int, small: int) -> Tensor:
     return ((end - begin).clamp(min=0) * (small / large)).float()
 
 
-def composited(photo: TrainingPhoto, backdrop: Tensor) -> Tensor:
-    """(H, W, 3) float target over a backdrop (3,); photos without a mask as they are."""
-    rgb = photo.rgb.permute(1, 2, 0).float() / 255
-    if photo.mask is None:
-        return rgb
-    m = (photo.mask.float() / 255)[..., None]
-    return rgb * m + (1 - m) * backdrop
-
-
 def _bytes(image: NDArray[np.float32]) -> NDArray[np.uint8]:
     return np.asarray(np.rint(image.clip(0, 1) * 255), np.uint8)

@@ -153,14 +153,15 @@ def draw(
     """
     surfels, values = _concatenated(scene)
     maps = rasterize(surfels, values, camera, extra=extra, normals=True)
-    near, local_statistics = _near_features(scene, camera, maps)
     object_alpha, behind = maps.alpha, None
     if scene.background is not None:
         inside_at = values.shape[1] - 4
         object_alpha, behind = maps.features[..., inside_at], maps.features[..., inside_at + 1 :]
     assert maps.normal is not None
+    shaded = object_alpha.detach() > SHADED_ALPHA
+    near, local_statistics = _near_features(scene, camera, maps, shaded)
     # on a GPU this waits for the maps: the number of covered pixels shapes what follows
-    pixels = torch.nonzero(object_alpha.detach().reshape(-1) > SHADED_ALPHA).flatten()
+    pixels = torch.nonzero(shaded.flatten()).flatten()
     diffuse, roughness, reflected, cosine, near = shading_inputs(
         maps.features, object_alpha, maps.normal, near, pixels, camera
     )
@@ -176,14 +177,18 @@ def draw(
 
 
 def _near_features(
-    scene: Scene, camera: Pinhole, maps: Maps
+    scene: Scene, camera: Pinhole, maps: Maps, shaded: Tensor
 ) -> tuple[Tensor | None, ScreenStatistics | None]:
-    """(H, W, 4) local reflection features, premultiplied: an empty pixel means no near light."""
+    """(H, W, 4) local reflection features, premultiplied: an empty pixel means no near light.
+
+    Args:
+        shaded: (H, W) bool; other pixels are of no interest.
+    """
     if scene.shader is None or scene.shader.local == "none":
         return None, None
     if scene.shared_features is not None:
         return maps.features[..., 4:8], None
     if scene.local is None or scene.local_features is None:
         return None, None
-    local = rasterize(scene.local, scene.local_features, camera)
+    local = rasterize(scene.local, scene.local_features, camera, needed=shaded)
     return local.features, local.statistics

@@ -15,14 +15,14 @@ from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.surfel_field import SurfelField
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.errors import Cancelled, TrainingError
-from refdgs_pipe.ops import image_loss, normal_agreement
+from refdgs_pipe.ops import composited, image_loss_and_error, mask_entropy, normal_agreement
 from refdgs_pipe.ops.native import keep_freed_memory
 from refdgs_pipe.ops.rasterize import Extra
 from refdgs_pipe.training import losses
 from refdgs_pipe.training.checkpoint import read_checkpoint, write_checkpoint
 from refdgs_pipe.training.coverage import coverage
 from refdgs_pipe.training.field import TrainableField
-from refdgs_pipe.training.photos import TrainingPhoto, composited, load_training_photos, shrunk
+from refdgs_pipe.training.photos import TrainingPhoto, load_training_photos, shrunk
 from refdgs_pipe.training.settings import TrainParams
 from refdgs_pipe.training.shading import Picture, draw
 
@@ -125,10 +125,10 @@ class Trainer:
         picture = draw(
             self.field.scene(photo.pinhole, fraction), photo.pinhole, backdrop, extra=extra
         )
-        target = composited(photo, backdrop)
-        loss = self._loss(picture, photo, target)
+        target = composited(photo.rgb, photo.mask, backdrop)
+        loss, error = self._loss(picture, photo, target)
         loss.backward()  # type: ignore[no-untyped-call]
-        self._note(loss, picture.image, target)
+        self._note(loss, error)
         self.field.observe(picture, photo.pinhole.width)
         self.field.step()
         self.iteration += 1
@@ -143,15 +143,26 @@ class Trainer:
         pick = int(torch.randint(len(self.full), (1,), generator=self.rng))
         return self.scales[scale][pick]
 
-    def _loss(self, picture: Picture, photo: TrainingPhoto, target: Tensor) -> Tensor:
+    def _loss(
+        self, picture: Picture, photo: TrainingPhoto, target: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """What is minimised, and the mean squared error of the picture."""
         p, maps = self.params, picture.maps
         valid = None if photo.valid is None else photo.valid.float()
-        loss = image_loss(picture.image, target, weight=valid, ssim_share=p.ssim_share)
+        loss, error = image_loss_and_error(
+            picture.image, target, weight=valid, ssim_share=p.ssim_share
+        )
+        # weights go in, so that backward has nothing to scale
         if photo.mask is not None and p.mask_weight > 0:
-            loss = loss + p.mask_weight * losses.mask_entropy(maps.alpha, photo.mask.float() / 255)
+            loss = loss + mask_entropy(maps.alpha, photo.mask, weight=p.mask_weight)
         if p.normal_weight > 0 and maps.normal is not None and maps.depth is not None:
-            loss = loss + p.normal_weight * normal_agreement(
-                maps.normal, maps.depth, maps.alpha, photo.pinhole, edge=p.normal_edge
+            loss = loss + normal_agreement(
+                maps.normal,
+                maps.depth,
+                maps.alpha,
+                photo.pinhole,
+                edge=p.normal_edge,
+                weight=p.normal_weight,
             )
         if p.smooth_weight > 0:
             loss = loss + p.smooth_weight * losses.normal_smoothness(
@@ -159,12 +170,10 @@ class Trainer:
             )
         if maps.distortion is not None:
             loss = loss + p.distortion_weight * maps.distortion.mean()
-        return loss
+        return loss, error
 
-    def _note(self, loss: Tensor, image: Tensor, target: Tensor) -> None:
+    def _note(self, loss: Tensor, error: Tensor) -> None:
         """Keep the step's figures; on a GPU they are read later, so that nothing waits for them."""
-        with torch.no_grad():
-            error = (image - target).square().mean()
         self._unread.append((self.iteration, torch.stack([loss.detach(), error])))
         if self.device == "cpu":
             self._read()
