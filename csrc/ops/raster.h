@@ -31,6 +31,7 @@ template <class S> struct RasterFrame {
   int64_t* tile_stop;         // [tiles] entries from here on are hidden
   uint64_t* activity;         // [slots] which blocks of the tile the entry touched
   S* moments;                 // [2][H][W] sums of w m and w m^2; only with distortion
+  bool absolute;              // fill the last two of a slot's head too
   const uint8_t* needed;      // [H][W], 0: the pixel stays empty and gives no gradient; null: draw all
 };
 

@@ -123,7 +123,7 @@ template <class S> RasterFrame<S> Raster<S>::frame() {
   return {cam_.width,       cam_.height,        tiles_x_,           tiles_y_,          channels_,
           options_.extra,   cam_.near,          stride_,            records_.data(),   boxes_.data(),
           entries_.data(),  tile_start_.data(), tile_stop_.data(), activity_.data(),
-          moments_.data(),  options_.needed};
+          moments_.data(),  options_.absolute,   options_.needed};
 }
 
 template <class S>

@@ -281,10 +281,12 @@ template <class S, int C, int X> struct Replay {
   }
 };
 
-// One surfel in one block: adds to the sums of its gradients.
+// One surfel in one block: adds to the sums of its gradients. That of the centre, by record:
+//   x: -(sum of dx low_pass + r2 L0 + r4 L1 + r6 L2), y: the same of dy with r3, r5, r7.
 template <class S, int C, int X>
 inline __attribute__((always_inline)) void replay(S near, const S* r, typename Simd<S>::vf x, typename Simd<S>::vf y,
-                                                  Replay<S, C, X>& t, int block, typename Simd<S>::vf* G, typename Simd<S>::vf* L) {
+                                                  Replay<S, C, X>& t, int block, typename Simd<S>::vf* G,
+                                                  typename Simd<S>::vf* L, bool absolute) {
   using vf = typename Simd<S>::vf;
   using vm = typename Simd<S>::vm;
   const Hit<S> h = hit(r, x, y, near);
@@ -335,6 +337,9 @@ inline __attribute__((always_inline)) void replay(S near, const S* r, typename S
   G[5] += gpy * h.dy;
   G[6] += gq * h.dx;
   G[7] += gq * h.dy;
+  if (!absolute) return;
+  G[10] += abs_of(gpx * r[2] + gpy * r[4] + gq * r[6] + h.dx * low_pass);
+  G[11] += abs_of(gpx * r[3] + gpy * r[5] + gq * r[7] + h.dy * low_pass);
 }
 
 template <class S, int C, int X>
@@ -367,7 +372,7 @@ void backward_tile(const RasterFrame<S>& f, int tile, const S* maps, const S* co
       const int block = __builtin_ctzll(active);
       const vf x = load(lanes.x) + S(tx + block % kBlocksX * kBlockW);
       const vf y = load(lanes.y) + S(ty + block / kBlocksX * kBlockH);
-      replay<S, C, X>(f.near, r, x, y, t, block, G, L);
+      replay<S, C, X>(f.near, r, x, y, t, block, G, L, f.absolute);
     }
     G[0] -= r[2] * L[0] + r[4] * L[1] + r[6] * L[2];
     G[1] -= r[3] * L[0] + r[5] * L[1] + r[7] * L[2];

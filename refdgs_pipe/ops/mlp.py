@@ -16,7 +16,7 @@ MAX_INPUTS = 32
 MAX_TABLES = 4
 MAX_OUTPUTS = 4
 MAX_HIDDEN_LAYERS = 8
-MOST_KEPT = 64 << 20  # hidden values, in 4-byte pairs: 256 MiB, about 700,000 points of three layers
+MOST_KEPT = 64 << 20  # pairs of hidden values: 256 MiB, about 700,000 points of three layers
 
 
 def mlp(
@@ -31,8 +31,8 @@ def mlp(
     """Hidden layers of 64 with ReLU, then a linear layer, then exp(min(y, exp_cap)) if asked for.
 
     With float products nothing is kept for the backward pass but x and the result: hidden values
-    are computed again. As bfloat16 numbers they are kept, 128 bytes a point and layer, if that is at
-    most 256 MiB. Above the cap a gradient passes only if it lowers the result, as `clip` has it.
+    are computed again. As bfloat16 numbers they are kept, 128 bytes a point and layer, if that is
+    at most 256 MiB. Above the cap a gradient passes only if it lowers the result, as `clip` has it.
 
     Args:
         x: (P, inputs), at most 32 inputs, any strides; or several such or (P,), side by side.
@@ -121,9 +121,7 @@ def _addresses(parameters: Sequence[Tensor]) -> tuple[list[int], list[int]]:
     return addresses[: len(addresses) // 2], addresses[len(addresses) // 2 :]
 
 
-def _check(
-    tables: Sequence[Tensor], weights: Sequence[Tensor], biases: Sequence[Tensor]
-) -> None:
+def _check(tables: Sequence[Tensor], weights: Sequence[Tensor], biases: Sequence[Tensor]) -> None:
     shapes = " and ".join(str(tuple(t.shape)) for t in tables)
     fits = 1 <= len(tables) <= MAX_TABLES and all(t.ndim == 2 for t in tables)
     total = sum(t.shape[1] for t in tables) if fits else 0

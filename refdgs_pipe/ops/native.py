@@ -37,6 +37,7 @@ def draw(
     extra: Extra,
     normals: bool,
     threads: int,
+    absolute: bool,
     needed: Tensor | None,
 ) -> Maps:
     """Rasterise on the CPU; inputs are checked by `rasterize`."""
@@ -53,6 +54,7 @@ def draw(
         extra,
         normals,
         threads,
+        absolute,
         needed,
         statistics,
     )
@@ -74,7 +76,7 @@ class _Frame:
 class _Rasterize(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, *args: Any) -> tuple[Tensor, ...]:
-        *tensors, camera, extra, normals, threads, needed, statistics = args
+        *tensors, camera, extra, normals, threads, absolute, needed, statistics = args
         ctx.needed = None if needed is None else needed.contiguous()  # backward reads it too
         inputs = [t.detach().contiguous() for t in tensors[:5]]
         n, channels = inputs[4].shape
@@ -94,6 +96,7 @@ class _Rasterize(torch.autograd.Function):
             EXTRAS[extra],
             normals,
             threads,
+            absolute,
             0 if needed is None else ctx.needed.data_ptr(),
             planes.data_ptr(),
             statistics.radii.data_ptr(),
@@ -134,4 +137,4 @@ class _Rasterize(torch.autograd.Function):
         if ctx.needs_input_grad[5]:
             pose = torch.zeros_like(ctx.pose)
             pose[:3] = v_pose.to(ctx.pose.dtype)
-        return (*out, pose, *[None] * 6)
+        return (*out, pose, *[None] * 7)

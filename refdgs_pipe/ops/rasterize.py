@@ -132,6 +132,7 @@ def rasterize(
     extra: Extra = "none",
     normals: bool = False,
     needed: Tensor | None = None,
+    absolute: bool = True,
     threads: int | None = None,
 ) -> Maps:
     """Render surfels and their features, front to back (2D Gaussian Splatting, Huang et al. 2024).
@@ -148,6 +149,8 @@ def rasterize(
         needed: (H, W) bool, pixels that will be looked at, or None for all. What the maps hold
             elsewhere is not defined, and a gradient from there counts for nothing: the CPU leaves
             these pixels empty, a GPU draws them.
+        absolute: false: `ScreenStatistics` goes without the second of its gradients, which the CPU
+            then leaves 0, for speed.
         threads: default torch's; of the CPU.
 
     Raises:
@@ -170,7 +173,7 @@ def rasterize(
     from refdgs_pipe.ops.native import draw
 
     count = threads or torch.get_num_threads()
-    return draw(surfels, features, camera, extra, normals, count, needed)
+    return draw(surfels, features, camera, extra, normals, count, absolute, needed)
 
 
 def _check(surfels: Surfels, features: Tensor, camera: Pinhole, normals: bool) -> None:

@@ -117,7 +117,7 @@ def normal_agreement(
     weight: float = 1.0,
     threads: int | None = None,
 ) -> Tensor:
-    """`weight` times the mean of alpha (1 - n . n_depth) over pixels with four neighbours; a scalar.
+    """`weight` times the mean of alpha (1 - n . n_depth) over pixels with four neighbours.
 
     Pixels at an edge of the depth count as 0: there a surface ends in front of another, and
     agreement would close the gap between the two.

@@ -22,6 +22,7 @@ class TrainingPhoto:
         rgb: (3, H, W) uint8 sRGB, straight.
         mask: (H, W) uint8, or None.
         valid: (H, W) bool, or None when all are.
+        held: (2, K) rows and columns of pixels that are measured and never trained on, or None.
     """
 
     camera: Camera
@@ -29,12 +30,14 @@ class TrainingPhoto:
     rgb: Tensor
     mask: Tensor | None
     valid: Tensor | None
+    held: Tensor | None = None
 
     def to(self, device: str) -> "TrainingPhoto":
         """The photo with its pixels on a device; the camera stays."""
         mask = None if self.mask is None else self.mask.to(device)
         valid = None if self.valid is None else self.valid.to(device)
-        return replace(self, rgb=self.rgb.to(device), mask=mask, valid=valid)
+        held = None if self.held is None else self.held.to(device)
+        return replace(self, rgb=self.rgb.to(device), mask=mask, valid=valid, held=held)
 
 
 def load_training_photos(

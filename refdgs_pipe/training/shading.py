@@ -152,7 +152,7 @@ def draw(
         turntable: the light is fixed to the camera, not to the world.
     """
     surfels, values = _concatenated(scene)
-    maps = rasterize(surfels, values, camera, extra=extra, normals=True)
+    maps = rasterize(surfels, values, camera, extra=extra, normals=True, absolute=False)
     object_alpha, behind = maps.alpha, None
     if scene.background is not None:
         inside_at = values.shape[1] - 4
@@ -190,5 +190,5 @@ def _near_features(
         return maps.features[..., 4:8], None
     if scene.local is None or scene.local_features is None:
         return None, None
-    local = rasterize(scene.local, scene.local_features, camera, needed=shaded)
+    local = rasterize(scene.local, scene.local_features, camera, needed=shaded, absolute=False)
     return local.features, local.statistics

@@ -23,6 +23,7 @@ from refdgs_pipe.training.checkpoint import read_checkpoint, write_checkpoint
 from refdgs_pipe.training.coverage import coverage
 from refdgs_pipe.training.field import TrainableField
 from refdgs_pipe.training.photos import TrainingPhoto, load_training_photos, shrunk
+from refdgs_pipe.training.plateau import Plateau, hold_out
 from refdgs_pipe.training.settings import TrainParams
 from refdgs_pipe.training.shading import Picture, draw
 
@@ -67,12 +68,17 @@ class Trainer:
         self.field = TrainableField(
             params, model, photos, masked=self.masked, near=self.near, device=device
         )
+        if params.patience > 0:
+            photos = hold_out(photos, params.seed)
         self.full = [photo.to(device) for photo in photos]
+        self.plateau = Plateau(params, photos, self.field.reflect_from)
+        self.skipped = 0  # steps of the schedule that were left out
         self.scales: dict[float, list[TrainingPhoto]] = {1.0: self.full}
         self.iteration = 0
         self.loss, self.psnr = math.nan, math.nan
         self.curve: list[tuple[int, float, float]] = []
-        self._unread: list[tuple[int, Tensor]] = []  # steps with their loss and squared error
+        # steps with their photo, loss and squared errors, of all and of held-out pixels
+        self._unread: list[tuple[int, str, Tensor]] = []
 
     def run(self, progress: Progress) -> SurfelField:
         """Train to the end, or until `progress` raises; a checkpoint is kept either way.
@@ -82,15 +88,18 @@ class Trainer:
             Cancelled: `progress` raised it; the next run continues from here.
         """
         self._resume()
-        total = self.params.iterations
         saved = time.monotonic()
         try:
-            while self.iteration < total:
+            while self.position < self.params.iterations:
                 self.step()
-                if self.iteration % REPORT_STEPS == 0:
+                last = self.position == self.params.iterations
+                if self.iteration % REPORT_STEPS == 0 or last:
                     self._read()
+                    if self.params.patience > 0:
+                        self._skip_a_plateau()
                     count = len(self.field.geometry)
                     note = f"loss {self.loss:.4f}  PSNR {self.psnr:.2f} dB  {count} surfels"
+                    total = self.params.iterations - self.skipped
                     progress(self.iteration, total, note, self._work())
                 if time.monotonic() - saved > CHECKPOINT_SECONDS:
                     self.save()
@@ -100,6 +109,30 @@ class Trainer:
             raise
         self._read()
         return self.field.freeze()
+
+    @property
+    def position(self) -> int:
+        """The step of the schedule, of `iterations`: those that were taken or left out."""
+        return self.iteration + self.skipped
+
+    def _skip_a_plateau(self) -> None:
+        """Once held-out pixels get no better, go on where rates begin to shrink."""
+        p = self.params
+        tail = math.ceil(p.anneal_from * p.iterations)
+        if self.position < tail and self.plateau.reached(self.position / p.iterations):
+            self.skipped = tail - self.position
+
+    @property
+    def early(self) -> str | None:
+        """Why the run is shorter than asked for, if it is."""
+        if not self.skipped:
+            return None
+        p, plateau = self.params, self.plateau
+        return (
+            f"{self.skipped} of {p.iterations} steps left out: held-out pixels, {plateau.best:.2f} "
+            f"dB at step {round(plateau.best_at * p.iterations)}, gained less than "
+            f"{p.patience_tolerance:g} dB in {p.patience:.0%} of the run"
+        )
 
     def coverage(self, field: SurfelField) -> float:
         """How much of the object the field shows, over a few training photos; see `coverage`."""
@@ -115,8 +148,8 @@ class Trainer:
 
     def step(self) -> None:
         """One photo, one gradient, one update."""
-        p, i = self.params, self.iteration
-        fraction = i / p.iterations
+        p = self.params
+        fraction = self.position / p.iterations
         photo = self._photo(fraction)
         self.field.set_rates(fraction)
         backdrop = torch.rand(3, generator=self.rng) if self.masked else torch.zeros(3)
@@ -128,11 +161,15 @@ class Trainer:
         target = composited(photo.rgb, photo.mask, backdrop)
         loss, error = self._loss(picture, photo, target)
         loss.backward()  # type: ignore[no-untyped-call]
-        self._note(loss, error)
+        held = self._held_error(photo, picture.image, target)
+        figures = torch.stack([loss.detach(), error, held])
+        self._unread.append((self.iteration, photo.camera.name, figures))
+        if self.device == "cpu":  # on a GPU later, so that nothing waits for it
+            self._read()
         self.field.observe(picture, photo.pinhole.width)
         self.field.step()
         self.iteration += 1
-        self.field.adapt(self.iteration, self.rng)
+        self.field.adapt(self.position, self.rng)
 
     def _photo(self, fraction: float) -> TrainingPhoto:
         """A random photo at the scale of this moment."""
@@ -172,19 +209,22 @@ class Trainer:
             loss = loss + p.distortion_weight * maps.distortion.mean()
         return loss, error
 
-    def _note(self, loss: Tensor, error: Tensor) -> None:
-        """Keep the step's figures; on a GPU they are read later, so that nothing waits for them."""
-        self._unread.append((self.iteration, torch.stack([loss.detach(), error])))
-        if self.device == "cpu":
-            self._read()
+    @staticmethod
+    def _held_error(photo: TrainingPhoto, image: Tensor, target: Tensor) -> Tensor:
+        """The mean squared error of held-out pixels, NaN where there are none."""
+        if photo.held is None:
+            return target.new_full((), math.nan)
+        rows, columns = photo.held
+        return (image.detach()[rows, columns] - target[rows, columns]).square().mean()
 
     def _read(self) -> None:
         """Running figures; a loss that is not finite ends the run at the last good checkpoint."""
         if not self._unread:
             return
-        steps, figures = zip(*self._unread, strict=True)
+        steps, names, figures = zip(*self._unread, strict=True)
         self._unread.clear()
-        for step, (value, error) in zip(steps, torch.stack(figures).tolist(), strict=True):
+        rows = torch.stack(figures).tolist()
+        for step, name, (value, error, held) in zip(steps, names, rows, strict=True):
             if not math.isfinite(value):
                 raise TrainingError(
                     f"training diverged at step {step + 1}: the loss is {value}. The last good "
@@ -194,14 +234,20 @@ class Trainer:
             keep = 0.98 if math.isfinite(self.loss) else 0.0
             self.loss = value if not keep else keep * self.loss + (1 - keep) * value
             self.psnr = psnr if not keep else keep * self.psnr + (1 - keep) * psnr
+            if math.isfinite(held):
+                self.plateau.note(name, held, (step + self.skipped) / self.params.iterations)
             if step % 50 == 0:
                 self.curve.append((step, self.loss, self.psnr))
 
     def _work(self) -> float:
-        """The share of the run's time that should be behind, from what its phases cost."""
+        """The share of the run's time that should be behind, from what its phases cost.
+
+        What was left out counts neither as behind nor as ahead.
+        """
         p = self.params
         edges = sorted({0.0, 1.0, p.coarse_until, self.field.reflect_from, p.local_from})
-        now = self.iteration / p.iterations
+        now = self.position / p.iterations
+        skip = (p.anneal_from - self.skipped / p.iterations, p.anneal_from)
         behind = whole = 0.0
         for start, end in itertools.pairwise(edge for edge in edges if edge <= 1):
             pixels = p.coarse**2 if start < p.coarse_until else 1.0
@@ -209,16 +255,22 @@ class Trainer:
             if p.reflection and start >= self.field.reflect_from:
                 cost += REFLECT_COST * pixels
                 cost += LOCAL_COST * pixels * (p.local == "dual" and start >= p.local_from)
-            whole += cost * (end - start)
-            behind += cost * max(0.0, min(end, now) - start)
-        return behind / whole
+            left_out = max(0.0, min(end, skip[1]) - max(start, skip[0]))
+            whole += cost * (end - start - left_out)
+            behind += cost * (max(0.0, min(end, now) - start) - left_out)
+        return min(1.0, max(0.0, behind / whole))
 
     def save(self) -> None:
         """Write the checkpoint; an older one is replaced only when the new one is complete."""
         self._read()
         tensors = {**self.field.state(), "rng": self.rng.get_state()}
-        figures = {"iteration": self.iteration, "loss": self.loss, "psnr": self.psnr}
-        write_checkpoint(self.scratch, tensors, json.dumps({**figures, "curve": self.curve}))
+        figures: dict[str, object] = {
+            "iteration": self.iteration,
+            "loss": self.loss,
+            "psnr": self.psnr,
+        }
+        figures |= {"skipped": self.skipped, "plateau": self.plateau.state(), "curve": self.curve}
+        write_checkpoint(self.scratch, tensors, json.dumps(figures))
 
     def _resume(self) -> None:
         found = read_checkpoint(self.scratch)
@@ -229,4 +281,6 @@ class Trainer:
         self.rng.set_state(tensors.pop("rng"))
         self.field.restore(tensors)
         self.iteration, self.loss, self.psnr = (figures[k] for k in ("iteration", "loss", "psnr"))
+        self.skipped = figures.get("skipped", 0)
+        self.plateau.restore(figures.get("plateau", {}))
         self.curve = [(int(a), float(b), float(c)) for a, b, c in figures["curve"]]
