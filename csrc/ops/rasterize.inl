@@ -256,11 +256,11 @@ template <class S, int C, int X> struct Replay {
 
   void load_tile(const RasterFrame<S>& f, const Lanes<S>& lanes, int tx, int ty, const S* maps, const S* const* v_maps) {
     const int64_t plane = int64_t(f.width) * f.height;
-    alignas(64) S map[kBlocks][LANES];
+    alignas(64) S sums[kTile][kTile] = {};  // of maps times gradients, by image rows: nothing to rearrange per plane
+    const int rows = f.height - ty < kTile ? f.height - ty : kTile, columns = f.width - tx < kTile ? f.width - tx : kTile;
     for (int block = 0; block < kBlocks; ++block) {
       const auto drawn = drawn_lanes(f, lanes, tx + block % kBlocksX * kBlockW, ty + block / kBlocksX * kBlockH);
       store(T[block], select(drawn, all(S(1)), all(S(-1))));
-      store(R[block], all(S(0)));
     }
     for (int c = 0; c < planes_of(C, X); ++c) {
       if (!v_maps[c]) {
@@ -269,10 +269,21 @@ template <class S, int C, int X> struct Replay {
       }
       load_plane(f, tx, ty, v_maps[c], [&](int block) { return g[block][c]; });
       if (c == C + 2) continue;  // the median's gradient does not pass through weights
-      load_plane(f, tx, ty, maps + c * plane, [&](int block) { return map[block]; });
-      for (int block = 0; block < kBlocks; ++block)
-        store(R[block], load(R[block]) + load(map[block]) * load(g[block][c]) * (c == C + 3 ? S(2) : S(1)));
+      for (int row = 0; row < rows; ++row) {
+        const int64_t at = int64_t(ty + row) * f.width + tx;
+        const S *map = maps + c * plane + at, *v_map = v_maps[c] + at;
+        const S share = c == C + 3 ? S(2) : S(1);
+        if (columns == kTile)
+          for (int x = 0; x < kTile; x += LANES)
+            store(sums[row] + x, load(sums[row] + x) + share * load(map + x) * load(v_map + x));
+        else
+          for (int x = 0; x < columns; ++x) sums[row][x] += share * map[x] * v_map[x];
+      }
     }
+    for (int block = 0; block < kBlocks; ++block)
+      for (int row = 0; row < kBlockH; ++row)
+        __builtin_memcpy(R[block] + row * kBlockW, &sums[block / kBlocksX * kBlockH + row][block % kBlocksX * kBlockW],
+                         kBlockW * sizeof(S));
     if (X >= 2) {
       load_plane(f, tx, ty, maps + C * plane, [&](int block) { return M[block][0]; });
       load_plane(f, tx, ty, f.moments, [&](int block) { return M[block][X >= 2 ? 1 : 0]; });
@@ -281,12 +292,12 @@ template <class S, int C, int X> struct Replay {
   }
 };
 
-// One surfel in one block: adds to the sums of its gradients. That of the centre, by record:
-//   x: -(sum of dx low_pass + r2 L0 + r4 L1 + r6 L2), y: the same of dy with r3, r5, r7.
-template <class S, int C, int X>
+// One surfel in one block: adds to the sums of its gradients. What moves the centre with the ray is linear in
+// three sums, L, and joins G after the last block, unless absolute values are wanted pixel by pixel.
+template <class S, int C, int X, bool Absolute>
 inline __attribute__((always_inline)) void replay(S near, const S* r, typename Simd<S>::vf x, typename Simd<S>::vf y,
                                                   Replay<S, C, X>& t, int block, typename Simd<S>::vf* G,
-                                                  typename Simd<S>::vf* L, bool absolute) {
+                                                  typename Simd<S>::vf* L) {
   using vf = typename Simd<S>::vf;
   using vm = typename Simd<S>::vm;
   const Hit<S> h = hit(r, x, y, near);
@@ -328,21 +339,29 @@ inline __attribute__((always_inline)) void replay(S near, const S* r, typename S
   const vf gz_disc = keep(h.has_hit, gz * h.iq);
   G[8] += select(h.has_hit, gz_disc, gz);
   const vf gq = -(h.u * gpx + h.v * gpy) - gz_disc * h.z;
-  L[0] += gpx, L[1] += gpy, L[2] += gq;
-  G[0] -= h.dx * low_pass;
-  G[1] -= h.dy * low_pass;
+  if (Absolute) {
+    const vf gdx = gpx * r[2] + gpy * r[4] + gq * r[6] + h.dx * low_pass;
+    const vf gdy = gpx * r[3] + gpy * r[5] + gq * r[7] + h.dy * low_pass;
+    G[0] -= gdx;
+    G[1] -= gdy;
+    G[10] += abs_of(gdx);
+    G[11] += abs_of(gdy);
+  } else {
+    L[0] += gpx;
+    L[1] += gpy;
+    L[2] += gq;
+    G[0] -= h.dx * low_pass;
+    G[1] -= h.dy * low_pass;
+  }
   G[2] += gpx * h.dx;
   G[3] += gpx * h.dy;
   G[4] += gpy * h.dx;
   G[5] += gpy * h.dy;
   G[6] += gq * h.dx;
   G[7] += gq * h.dy;
-  if (!absolute) return;
-  G[10] += abs_of(gpx * r[2] + gpy * r[4] + gq * r[6] + h.dx * low_pass);
-  G[11] += abs_of(gpx * r[3] + gpy * r[5] + gq * r[7] + h.dy * low_pass);
 }
 
-template <class S, int C, int X>
+template <class S, int C, int X, bool Absolute>
 void backward_tile(const RasterFrame<S>& f, int tile, const S* maps, const S* const* v_maps, S* slots) {
   using vf = typename Simd<S>::vf;
   static const Lanes<S> lanes;
@@ -372,7 +391,7 @@ void backward_tile(const RasterFrame<S>& f, int tile, const S* maps, const S* co
       const int block = __builtin_ctzll(active);
       const vf x = load(lanes.x) + S(tx + block % kBlocksX * kBlockW);
       const vf y = load(lanes.y) + S(ty + block / kBlocksX * kBlockH);
-      replay<S, C, X>(f.near, r, x, y, t, block, G, L, f.absolute);
+      replay<S, C, X, Absolute>(f.near, r, x, y, t, block, G, L);
     }
     G[0] -= r[2] * L[0] + r[4] * L[1] + r[6] * L[2];
     G[1] -= r[3] * L[0] + r[5] * L[1] + r[7] * L[2];
@@ -380,11 +399,14 @@ void backward_tile(const RasterFrame<S>& f, int tile, const S* maps, const S* co
   }
 }
 
+template <class S, int C, int X> RasterKernels<S> raster_kernels_of() {
+  return {forward_tile<S, C, X>, backward_tile<S, C, X, false>, backward_tile<S, C, X, true>};
+}
 template <class S, int C> RasterKernels<S> raster_kernels_c(Extra extra) {
   switch (extra) {
-    case Extra::none: return {forward_tile<S, C, 0>, backward_tile<S, C, 0>};
-    case Extra::depth: return {forward_tile<S, C, 1>, backward_tile<S, C, 1>};
-    default: return {forward_tile<S, C, 2>, backward_tile<S, C, 2>};
+    case Extra::none: return raster_kernels_of<S, C, 0>();
+    case Extra::depth: return raster_kernels_of<S, C, 1>();
+    default: return raster_kernels_of<S, C, 2>();
   }
 }
 template <class S> RasterKernels<S> raster_kernels(int channels, Extra extra) {
