@@ -27,6 +27,7 @@ def mlp(
     exp_cap: float | None = None,
     half: bool = False,
     threads: int | None = None,
+    limit: Tensor | None = None,
 ) -> Tensor:
     """Hidden layers of 64 with ReLU, then a linear layer, then exp(min(y, exp_cap)) if asked for.
 
@@ -43,6 +44,8 @@ def mlp(
             twice as fast, good to about 3 digits. The first and the last layer's outputs are
             multiplied as they are. No difference for doubles, and none on a GPU.
         threads: default torch's; the result does not depend on it.
+        limit: (1,) int64 on a GPU: no more than the first that many rows are looked at there, and
+            what is made of the others has no meaning.
 
     Returns:
         (P, outputs)
@@ -54,7 +57,11 @@ def mlp(
     _check(tables, weights, biases)
     if cuda.on_gpu(tables[0]):
         on_gpu: Tensor = cuda_fused.Mlp.apply(  # type: ignore[no-untyped-call]
-            torch.cat(tables, 1) if len(tables) > 1 else tables[0], exp_cap, *weights, *biases
+            torch.cat(tables, 1) if len(tables) > 1 else tables[0],
+            exp_cap,
+            limit,
+            *weights,
+            *biases,
         )
         return on_gpu
     count = threads or torch.get_num_threads()

@@ -11,6 +11,7 @@ from torch import Tensor
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.errors import ShapeError
 from refdgs_pipe.ops import cuda
+from refdgs_pipe.ops.plan import Plan
 
 Extra = Literal["none", "depth", "distortion"]
 EXTRAS = {"none": 0, "depth": 1, "distortion": 2}  # as the native functions number them
@@ -134,6 +135,7 @@ def rasterize(
     needed: Tensor | None = None,
     absolute: bool = True,
     threads: int | None = None,
+    plan: Plan | None = None,
 ) -> Maps:
     """Render surfels and their features, front to back (2D Gaussian Splatting, Huang et al. 2024).
 
@@ -152,6 +154,7 @@ def rasterize(
         absolute: false: `ScreenStatistics` goes without the second of its gradients, which the CPU
             then leaves 0, for speed.
         threads: default torch's; of the CPU.
+        plan: room for the tiles' lists on a GPU, which then nothing waits for.
 
     Raises:
         ShapeError: sizes or types that must agree do not.
@@ -169,7 +172,7 @@ def rasterize(
     if cuda.on_gpu(surfels.means):
         from refdgs_pipe.ops import cuda_rasterize
 
-        return cuda_rasterize.draw(surfels, features, camera, extra, normals)
+        return cuda_rasterize.draw(surfels, features, camera, extra, normals, plan)
     from refdgs_pipe.ops.native import draw
 
     count = threads or torch.get_num_threads()

@@ -10,7 +10,19 @@ from torch import Tensor
 from refdgs_pipe.errors import ShapeError
 from refdgs_pipe.ops import addresses, cuda, cuda_shade
 from refdgs_pipe.ops.checks import check_alike
+from refdgs_pipe.ops.plan import Plan
 from refdgs_pipe.ops.rasterize import Pinhole
+
+
+def covered_pixels(alpha: Tensor, least: float, plan: Plan | None = None) -> Tensor:
+    """(P,) int64, row * W + column, ascending: the pixels where alpha (H, W) is above `least`.
+
+    Without a plan a GPU is waited for. With one, P is the planned room and the rest is -1, which
+    stands for no pixel in everything that takes `pixels`: what is made there counts for nothing.
+    """
+    if plan is not None and cuda.on_gpu(alpha):
+        return cuda_shade.covered_pixels(alpha.detach(), least, plan)
+    return torch.nonzero(alpha.detach().reshape(-1) > least).flatten()
 
 
 def shading_inputs(
@@ -30,7 +42,7 @@ def shading_inputs(
         alpha: (H, W) sums of w, above 0 at `pixels`.
         normal: (H, W, 3) sums of w n, world.
         near: (H, W, 4) local reflection features, or None.
-        pixels: (P,) int64, row * W + column, ascending.
+        pixels: (P,) of `covered_pixels`.
         camera: constant: its pose gets no gradient.
         threads: default torch's; the result does not depend on it.
 
@@ -78,7 +90,7 @@ def composite(
 
     Args:
         diffuse, radiance: (P, 3) linear, any strides.
-        pixels: (P,) int64, row * W + column, ascending; elsewhere the object is black.
+        pixels: (P,) of `covered_pixels`; elsewhere the object is black.
         object_alpha, alpha: (H, W).
         backdrop: (3,) sRGB, constant.
         behind: (H, W, 3) sRGB, premultiplied, or None.

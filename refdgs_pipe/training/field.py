@@ -9,6 +9,7 @@ from torch import Tensor
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.surfel_field import ShaderModel, SurfelField, SurfelSet
 from refdgs_pipe.ops import Pinhole
+from refdgs_pipe.ops.cuda import sent
 from refdgs_pipe.training import initial
 from refdgs_pipe.training.photos import TrainingPhoto
 from refdgs_pipe.training.reflection import Shader
@@ -65,7 +66,7 @@ class TrainableField:
         self.geometry = self._set(self._geometry(model, photos, masked, rng))
         self.local: TrainableSet | None = None
         self.shader: Shader | None = None
-        self.shader_optimizer: list[torch.optim.Optimizer] = []
+        self.shader_optimizer: list[torch.optim.Adam] = []
         if params.reflection:
             self.shader = Shader(
                 params.environment_height,
@@ -174,7 +175,7 @@ class TrainableField:
         if self.background is not None:
             pose = camera.cam_from_world
             center = -pose[:3, :3].T @ pose[:3, 3]
-            towards = self.background.raw["means"].detach() - center.to(self.device)
+            towards = self.background.raw["means"].detach() - sent(center, self.device)
             towards = towards / towards.norm(dim=-1, keepdim=True)
             background_rgb = sh_color(self.background.raw["sh"], towards)
         return Scene(
@@ -191,26 +192,48 @@ class TrainableField:
             shader=self.shader if fraction >= self.reflect_from else None,
         )
 
-    def observe(self, picture: Picture, width: int) -> None:
-        """Collect densification statistics after the backward pass, per half image width."""
+    def observe(self, picture: Picture, width: int, misfit: Tensor | None = None) -> None:
+        """Collect densification statistics after the backward pass, per half image width.
+
+        Args:
+            misfit: () 1 where the picture is not what it should be, see `Plan`.
+        """
         statistics, n = picture.maps.statistics, len(self.geometry)
         pull = statistics.gradients[:, 0] * (width / 2)
-        self.geometry.observe(pull[:n], statistics.radii[:n])
+        seen = statistics.radii > 0
+        fits = True if misfit is None else misfit == 0
+        self.geometry.observe(pull[:n], seen[:n] & fits)
         if self.background is not None:
-            self.background.observe(pull[n:], statistics.radii[n:])
+            self.background.observe(pull[n:], seen[n:] & fits)
         if self.local is not None and picture.local_statistics is not None:
             local = picture.local_statistics
-            self.local.observe(local.gradients[:, 0] * (width / 2), local.radii)
+            self.local.observe(local.gradients[:, 0] * (width / 2), (local.radii > 0) & fits)
 
-    def step(self) -> None:
-        """One update of everything."""
-        step_all(self._sets(), self.shader_optimizer)
+    def step(self, misfit: Tensor | None = None) -> None:
+        """One update of everything; of nothing where `misfit` is 1."""
+        step_all(self._sets(), self.shader_optimizer, misfit)
 
-    def adapt(self, iteration: int, rng: torch.Generator) -> None:
-        """Densify and prune when it is time."""
+    def adapts(self, iteration: int) -> bool:
+        """Whether it is time to densify and prune, or to reset opacities."""
+        return self._densifies(iteration) or self._resets(iteration)
+
+    def _densifies(self, iteration: int) -> bool:
         p = self.params
         begin, end = p.densify_from * p.iterations, p.densify_until * p.iterations
-        if not begin < iteration < end or iteration % p.densify_every:
+        return begin < iteration < end and iteration % p.densify_every == 0
+
+    def _resets(self, iteration: int) -> bool:
+        p = self.params
+        every = round(p.reset_every * p.iterations)
+        return every > 0 and iteration % every == 0 and iteration <= p.densify_until * p.iterations
+
+    def adapt(self, iteration: int, rng: torch.Generator) -> None:
+        """Densify and prune, and reset opacities, each when it is time."""
+        p = self.params
+        if self._resets(iteration):
+            for group in self._sets():
+                group.reset_opacities()
+        if not self._densifies(iteration):
             return
         size = p.split_size * self.extent
         rules = DensityRules(

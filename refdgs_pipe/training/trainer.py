@@ -1,10 +1,10 @@
 """The optimisation of a Ref-DGS field, resumable at any step."""
 
-import itertools
 import json
 import math
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +15,17 @@ from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.surfel_field import SurfelField
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.errors import Cancelled, TrainingError
-from refdgs_pipe.ops import composited, image_loss_and_error, mask_entropy, normal_agreement
+from refdgs_pipe.ops import (
+    Later,
+    Plan,
+    composited,
+    image_loss_and_error,
+    mask_entropy,
+    normal_agreement,
+)
+from refdgs_pipe.ops.cuda import sent
 from refdgs_pipe.ops.native import keep_freed_memory
+from refdgs_pipe.ops.plan import Asked
 from refdgs_pipe.ops.rasterize import Extra
 from refdgs_pipe.training import losses
 from refdgs_pipe.training.checkpoint import read_checkpoint, write_checkpoint
@@ -26,13 +35,23 @@ from refdgs_pipe.training.photos import TrainingPhoto, load_training_photos, shr
 from refdgs_pipe.training.plateau import Plateau, hold_out
 from refdgs_pipe.training.settings import TrainParams
 from refdgs_pipe.training.shading import Picture, draw
+from refdgs_pipe.training.work import share_behind
+
+
+@dataclass(frozen=True)
+class Moment:
+    """What makes a step what it is, so that it can be done again."""
+
+    iteration: int
+    fraction: float  # of the schedule
+    photo: TrainingPhoto
+    backdrop: Tensor
+
 
 Progress = Callable[[int, int, str, float], None]  # step, steps, figures, share of the work
 CHECKPOINT_SECONDS = 30.0
 REPORT_STEPS = 10
 COVERAGE_VIEWS = 6
-# What a step costs, measured on the scenes of docs/performance.md, in parts of a full one
-PIXEL_COST, SURFEL_COST, REFLECT_COST, LOCAL_COST = 0.3, 0.2, 0.35, 0.15
 NEAR = 0.02  # of the distance of the nearest camera to the ball's centre
 
 
@@ -77,8 +96,8 @@ class Trainer:
         self.iteration = 0
         self.loss, self.psnr = math.nan, math.nan
         self.curve: list[tuple[int, float, float]] = []
-        # steps with their photo, loss and squared errors, of all and of held-out pixels
-        self._unread: list[tuple[int, str, Tensor]] = []
+        self.plan = None if device == "cpu" else Plan(device)
+        self._later: Later[tuple[Moment, Asked]] = Later(device)  # loss, squared errors, needs
 
     def run(self, progress: Progress) -> SurfelField:
         """Train to the end, or until `progress` raises; a checkpoint is kept either way.
@@ -94,20 +113,19 @@ class Trainer:
                 self.step()
                 last = self.position == self.params.iterations
                 if self.iteration % REPORT_STEPS == 0 or last:
-                    self._read()
                     if self.params.patience > 0:
                         self._skip_a_plateau()
                     count = len(self.field.geometry)
                     note = f"loss {self.loss:.4f}  PSNR {self.psnr:.2f} dB  {count} surfels"
                     total = self.params.iterations - self.skipped
-                    progress(self.iteration, total, note, self._work())
+                    progress(self.iteration, total, note, self._behind())
                 if time.monotonic() - saved > CHECKPOINT_SECONDS:
                     self.save()
                     saved = time.monotonic()
         except Cancelled:
             self.save()
             raise
-        self._read()
+        self._read(all_of_them=True)
         return self.field.freeze()
 
     @property
@@ -119,6 +137,7 @@ class Trainer:
         """Once held-out pixels get no better, go on where rates begin to shrink."""
         p = self.params
         tail = math.ceil(p.anneal_from * p.iterations)
+        self._read(all_of_them=True)  # or it would depend on when figures arrive
         if self.position < tail and self.plateau.reached(self.position / p.iterations):
             self.skipped = tail - self.position
 
@@ -148,28 +167,38 @@ class Trainer:
 
     def step(self) -> None:
         """One photo, one gradient, one update."""
-        p = self.params
-        fraction = self.position / p.iterations
+        fraction = self.position / self.params.iterations
         photo = self._photo(fraction)
-        self.field.set_rates(fraction)
         backdrop = torch.rand(3, generator=self.rng) if self.masked else torch.zeros(3)
-        backdrop = backdrop.to(self.device)
+        self._update(Moment(self.iteration, fraction, photo, sent(backdrop, self.device)))
+        self.iteration += 1
+        adapts = self.field.adapts(self.position)
+        self._read(all_of_them=adapts)
+        if adapts:
+            self.field.adapt(self.position, self.rng)
+            if self.plan is not None:
+                self.plan.settle()
+
+    def _update(self, moment: Moment) -> None:
+        p, photo, plan = self.params, moment.photo, self.plan
+        self.field.set_rates(moment.fraction)
+        if plan is not None:
+            plan.begin()
         extra: Extra = "distortion" if p.distortion_weight > 0 else "depth"
-        picture = draw(
-            self.field.scene(photo.pinhole, fraction), photo.pinhole, backdrop, extra=extra
-        )
-        target = composited(photo.rgb, photo.mask, backdrop)
+        scene = self.field.scene(photo.pinhole, moment.fraction)
+        picture = draw(scene, photo.pinhole, moment.backdrop, extra=extra, plan=plan)
+        target = composited(photo.rgb, photo.mask, moment.backdrop)
         loss, error = self._loss(picture, photo, target)
         loss.backward()  # type: ignore[no-untyped-call]
+        misfit = None if plan is None else plan.misfit
+        self.field.observe(picture, photo.pinhole.width, misfit)
+        self.field.step(misfit)
         held = self._held_error(photo, picture.image, target)
         figures = torch.stack([loss.detach(), error, held])
-        self._unread.append((self.iteration, photo.camera.name, figures))
-        if self.device == "cpu":  # on a GPU later, so that nothing waits for it
-            self._read()
-        self.field.observe(picture, photo.pinhole.width)
-        self.field.step()
-        self.iteration += 1
-        self.field.adapt(self.position, self.rng)
+        if plan is None:
+            self._later.send((moment, []), figures)
+        else:
+            self._later.send((moment, plan.asked()), figures, plan.needed)
 
     def _photo(self, fraction: float) -> TrainingPhoto:
         """A random photo at the scale of this moment."""
@@ -206,7 +235,8 @@ class Trainer:
                 picture.normal, picture.diffuse, picture.depth, maps.alpha
             )
         if maps.distortion is not None:
-            loss = loss + p.distortion_weight * maps.distortion.mean()
+            relative = maps.distortion.mean() / NEAR**2  # it is measured in near / depth
+            loss = loss + p.distortion_weight * relative
         return loss, error
 
     @staticmethod
@@ -217,52 +247,46 @@ class Trainer:
         rows, columns = photo.held
         return (image.detach()[rows, columns] - target[rows, columns]).square().mean()
 
-    def _read(self) -> None:
-        """Running figures; a loss that is not finite ends the run at the last good checkpoint."""
-        if not self._unread:
-            return
-        steps, names, figures = zip(*self._unread, strict=True)
-        self._unread.clear()
-        rows = torch.stack(figures).tolist()
-        for step, name, (value, error, held) in zip(steps, names, rows, strict=True):
-            if not math.isfinite(value):
-                raise TrainingError(
-                    f"training diverged at step {step + 1}: the loss is {value}. The last good "
-                    "checkpoint is kept; lower train.rate_means or change train.seed and run again"
-                )
-            psnr = -10 * math.log10(max(error, 1e-10))
-            keep = 0.98 if math.isfinite(self.loss) else 0.0
-            self.loss = value if not keep else keep * self.loss + (1 - keep) * value
-            self.psnr = psnr if not keep else keep * self.psnr + (1 - keep) * psnr
-            if math.isfinite(held):
-                self.plateau.note(name, held, (step + self.skipped) / self.params.iterations)
-            if step % 50 == 0:
-                self.curve.append((step, self.loss, self.psnr))
+    def _read(self, *, all_of_them: bool = False) -> None:
+        """Take in the figures of steps that are through, some steps later on a GPU.
 
-    def _work(self) -> float:
-        """The share of the run's time that should be behind, from what its phases cost.
-
-        What was left out counts neither as behind nor as ahead.
+        A step whose lists had no room has changed nothing, and is done again with more.
         """
-        p = self.params
-        edges = sorted({0.0, 1.0, p.coarse_until, self.field.reflect_from, p.local_from})
-        now = self.position / p.iterations
-        skip = (p.anneal_from - self.skipped / p.iterations, p.anneal_from)
-        behind = whole = 0.0
-        for start, end in itertools.pairwise(edge for edge in edges if edge <= 1):
-            pixels = p.coarse**2 if start < p.coarse_until else 1.0
-            cost = SURFEL_COST + PIXEL_COST * pixels
-            if p.reflection and start >= self.field.reflect_from:
-                cost += REFLECT_COST * pixels
-                cost += LOCAL_COST * pixels * (p.local == "dual" and start >= p.local_from)
-            left_out = max(0.0, min(end, skip[1]) - max(start, skip[0]))
-            whole += cost * (end - start - left_out)
-            behind += cost * (max(0.0, min(end, now) - start) - left_out)
-        return min(1.0, max(0.0, behind / whole))
+        while arrived := self._later.arrived(all_of_them=all_of_them):
+            again = []
+            for (moment, asked), (figures, *needed) in arrived:
+                if self.plan is None or self.plan.learn(asked, *needed):
+                    self._note(moment, *figures.tolist())
+                else:
+                    again.append(moment)
+            for moment in again:
+                self._update(moment)
+
+    def _note(self, moment: Moment, value: float, error: float, held: float) -> None:
+        """Running figures; a loss that is not finite ends the run at the last good checkpoint."""
+        step = moment.iteration
+        if not math.isfinite(value):
+            raise TrainingError(
+                f"training diverged at step {step + 1}: the loss is {value}. The last good "
+                "checkpoint is kept; lower train.rate_means or change train.seed and run again"
+            )
+        psnr = -10 * math.log10(max(error, 1e-10))
+        keep = 0.98 if math.isfinite(self.loss) else 0.0
+        self.loss = value if not keep else keep * self.loss + (1 - keep) * value
+        self.psnr = psnr if not keep else keep * self.psnr + (1 - keep) * psnr
+        if math.isfinite(held):
+            self.plateau.note(moment.photo.camera.name, held, moment.fraction)
+        if step % 50 == 0:
+            self.curve.append((step, self.loss, self.psnr))
+
+    def _behind(self) -> float:
+        steps = self.params.iterations
+        skipped = self.skipped / steps
+        return share_behind(self.params, self.field.reflect_from, self.position / steps, skipped)
 
     def save(self) -> None:
         """Write the checkpoint; an older one is replaced only when the new one is complete."""
-        self._read()
+        self._read(all_of_them=True)
         tensors = {**self.field.state(), "rng": self.rng.get_state()}
         figures: dict[str, object] = {
             "iteration": self.iteration,
