@@ -2,9 +2,11 @@
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/string.h>
+#include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
 #include "fused_arguments.h"
+#include "ops/photo.h"
 
 namespace nb = nanobind;
 using namespace refdgs;
@@ -18,9 +20,9 @@ template <class S> void bind_image_loss(nb::module_& m, const char* name) {
     nb::gil_scoped_release release;
     LossFrame<S> frame{int(shape[1]), int(shape[0]), int(shape[2]), image<S>(x, x_strides), image<S>(y, y_strides),
                        at<S>(weight), {}, S(l1_scale), S(ssim_scale), at<S>(gradient), at<S>(map)};
-    double sums[2];
+    double sums[kLossSums];
     image_loss(frame, threads, sums);
-    return std::make_pair(sums[0], sums[1]);
+    return std::make_tuple(sums[0], sums[1], sums[2]);
   });
 }
 
@@ -41,19 +43,28 @@ template <class S> void bind_sph_mip(nb::module_& m, const char* name, const cha
   });
 }
 
+// Addresses, each with the strides of rows and columns and the number of columns.
+template <class S> MlpTables<S> mlp_tables(Tables columns) {
+  MlpTables<S> tables{};
+  for (const auto& [address, sizes] : columns)
+    tables.of[tables.count++] = {at<S>(address), sizes[0], sizes[1], int(sizes[2])};
+  return tables;
+}
+
+// shape: points, inputs, hidden layers, outputs, half.
 template <class S> void bind_mlp(nb::module_& m, const char* name, const char* bwd_name) {
-  m.def(name, [](Size shape, Address x, Strides strides, Addresses weights,
-                 Addresses biases, Numbers cap, int threads, Address out) {
+  m.def(name, [](Size shape, Tables x, Addresses weights, Addresses biases, Numbers cap, Address kept, int threads,
+                 Address out) {
     nb::gil_scoped_release release;
-    mlp(mlp_shape(shape), mlp_points<S>(shape, x, strides, cap, shape[4] != 0), mlp_parameters<const S>(weights, biases), threads,
-        at<S>(out));
+    mlp(mlp_shape(shape), mlp_points(shape, cap, shape[4] != 0, kept), mlp_tables<const S>(x),
+        mlp_parameters<const S>(weights, biases), threads, at<S>(out));
   });
-  m.def(bwd_name, [](Size shape, Address x, Strides strides,
-                     Addresses weights, Addresses biases, Numbers cap, int threads, Address out,
-                     Address v_out, Address v_x, Addresses v_weights, Addresses v_biases) {
+  m.def(bwd_name, [](Size shape, Tables x, Addresses weights, Addresses biases, Numbers cap, Address kept, int threads,
+                     Address out, Address v_out, Tables v_x, Addresses v_weights, Addresses v_biases) {
     nb::gil_scoped_release release;
-    mlp_bwd(mlp_shape(shape), mlp_points<S>(shape, x, strides, cap, shape[4] != 0), mlp_parameters<const S>(weights, biases),
-            threads, at<S>(out), at<const S>(v_out), at<S>(v_x), mlp_parameters<S>(v_weights, v_biases));
+    mlp_bwd(mlp_shape(shape), mlp_points(shape, cap, shape[4] != 0, kept), mlp_tables<const S>(x),
+            mlp_parameters<const S>(weights, biases), threads, at<S>(out), at<const S>(v_out), mlp_tables<S>(v_x),
+            mlp_parameters<S>(v_weights, v_biases));
   });
 }
 
@@ -97,15 +108,36 @@ template <class S> void bind_shade(nb::module_& m, const std::string& type) {
   });
 }
 
+template <class S> void bind_photo(nb::module_& m, const std::string& type) {
+  using Size = const std::vector<int64_t>&;
+  m.def(("composited_" + type).c_str(), [](Size size, Address rgb, Address mask, const std::vector<double>& backdrop,
+                                           int threads, Address out) {
+    nb::gil_scoped_release release;
+    const S color[3] = {S(backdrop[0]), S(backdrop[1]), S(backdrop[2])};
+    composited(Photo{int(size[1]), int(size[0]), at<const uint8_t>(rgb), at<const uint8_t>(mask)}, color, threads,
+               at<S>(out));
+  });
+  m.def(("mask_entropy_" + type).c_str(), [](Size size, Images alpha, Address mask, double scale, int threads,
+                                             Address v_alpha) {
+    nb::gil_scoped_release release;
+    return mask_entropy(MaskEntropy<S>{int(size[1]), int(size[0]), image<S>(alpha[0]), at<const uint8_t>(mask),
+                                       S(scale), at<S>(v_alpha)},
+                        threads);
+  });
+}
+
 }  // namespace
 
 void bind_fused(nb::module_& m) {
   bind_image_loss<float>(m, "image_loss_float");
   bind_image_loss<double>(m, "image_loss_double");
+  m.def("mlp_kept", [](const std::vector<int64_t>& shape) { return mlp_kept(mlp_shape(shape), shape[0], shape[4] != 0); });
   bind_mlp<float>(m, "mlp_float", "mlp_bwd_float");
   bind_mlp<double>(m, "mlp_double", "mlp_bwd_double");
   bind_shade<float>(m, "float");
   bind_shade<double>(m, "double");
+  bind_photo<float>(m, "float");
+  bind_photo<double>(m, "double");
   bind_sph_mip<float>(m, "sph_mip_float", "sph_mip_bwd_float");
   bind_sph_mip<double>(m, "sph_mip_double", "sph_mip_bwd_double");
 }

@@ -41,8 +41,8 @@ template <class S> MlpParameters<S> mlp_parameters(Addresses weights, Addresses 
 }
 
 // shape: points, inputs, hidden layers, outputs; cap: empty, or of the exponential.
-template <class S> MlpPoints<S> mlp_points(Size shape, Address x, Strides strides, Numbers cap, bool half) {
-  return {shape[0], at<S>(x), strides[0], strides[1], !cap.empty(), cap.empty() ? 0 : cap[0], half};
+inline MlpPoints mlp_points(Size shape, Numbers cap, bool half, Address kept) {
+  return {shape[0], !cap.empty(), cap.empty() ? 0 : cap[0], half, at<uint32_t>(kept)};
 }
 inline MlpShape mlp_shape(Size shape) { return {int(shape[1]), int(shape[2]), int(shape[3])}; }
 

@@ -55,7 +55,8 @@ MlpCall<S> mlp_call(Size shape, Address x, Strides strides, Addresses weights, A
   MlpCall<S> call{};
   call.shape = mlp_shape(shape);
   call.blocks = int(shape[4]), call.tensor_cores = shape[5] != 0;
-  call.points = mlp_points<S>(shape, x, strides, cap, false);
+  call.points = mlp_points(shape, cap, false, 0);
+  call.x = at<const S>(x), call.x_row = strides[0], call.x_column = strides[1];
   call.limit = at<const int64_t>(limit);
   call.net = mlp_parameters<const S>(weights, biases);
   call.cap = S(call.points.cap), call.largest = std::exp(call.cap);

@@ -12,7 +12,9 @@ constexpr int kMlpSide = kMlpPoints + 4;  // scalars between rows in shared memo
 
 template <class S> struct MlpCall {
   MlpShape shape;
-  MlpPoints<S> points;
+  MlpPoints points;
+  const S* x;            // element (i, c) at i * x_row + c * x_column
+  int64_t x_row, x_column;
   const int64_t* limit;  // [1] only the first that many points are looked at; null: all
   MlpParameters<const S> net;
   S cap, largest;  // of the exponential, and exp(cap)

@@ -37,7 +37,7 @@ template <class S> struct MlpTile {
     for (int i = t.thread(); i < padded(f.shape.inputs) * kMlpPoints; i += kMlpThreads) {
       const int c = i / kMlpPoints, p = i % kMlpPoints;
       const bool there = p < points && c < f.shape.inputs;
-      to[c * kMlpSide + p] = there ? f.points.x[(begin + p) * f.points.x_row + c * f.points.x_column] : S(0);
+      to[c * kMlpSide + p] = there ? f.x[(begin + p) * f.x_row + c * f.x_column] : S(0);
     }
   }
 

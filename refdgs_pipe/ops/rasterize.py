@@ -132,6 +132,8 @@ def rasterize(
     *,
     extra: Extra = "none",
     normals: bool = False,
+    needed: Tensor | None = None,
+    absolute: bool = True,
     threads: int | None = None,
     plan: Plan | None = None,
 ) -> Maps:
@@ -146,6 +148,11 @@ def rasterize(
     Args:
         features: (N, C) what to blend; C <= 20, or 17 with normals.
         extra: which of the depth maps to make.
+        needed: (H, W) bool, pixels that will be looked at, or None for all. What the maps hold
+            elsewhere is not defined, and a gradient from there counts for nothing: the CPU leaves
+            these pixels empty, a GPU draws them.
+        absolute: false: `ScreenStatistics` goes without the second of its gradients, which the CPU
+            then leaves 0, for speed.
         threads: default torch's; of the CPU.
         plan: room for the tiles' lists on a GPU, which then nothing waits for.
 
@@ -154,13 +161,22 @@ def rasterize(
         DeviceError: the tensors are on a device that this build has no kernels for.
     """
     _check(surfels, features, camera, normals)
+    if needed is not None and (needed.dtype, tuple(needed.shape)) != (
+        torch.bool,
+        (camera.height, camera.width),
+    ):
+        raise ShapeError(
+            f"needed is {tuple(needed.shape)} of {needed.dtype}: give {camera.height} rows of "
+            f"{camera.width} torch.bool"
+        )
     if cuda.on_gpu(surfels.means):
         from refdgs_pipe.ops import cuda_rasterize
 
         return cuda_rasterize.draw(surfels, features, camera, extra, normals, plan)
     from refdgs_pipe.ops.native import draw
 
-    return draw(surfels, features, camera, extra, normals, threads or torch.get_num_threads())
+    count = threads or torch.get_num_threads()
+    return draw(surfels, features, camera, extra, normals, count, absolute, needed)
 
 
 def _check(surfels: Surfels, features: Tensor, camera: Pinhole, normals: bool) -> None:

@@ -126,9 +126,10 @@ def normal_agreement(
     camera: Pinhole,
     *,
     edge: float = math.inf,
+    weight: float = 1.0,
     threads: int | None = None,
 ) -> Tensor:
-    """Mean of alpha (1 - n . n_depth) over pixels with four neighbours; a scalar.
+    """`weight` times the mean of alpha (1 - n . n_depth) over pixels with four neighbours.
 
     Pixels at an edge of the depth count as 0: there a surface ends in front of another, and
     agreement would close the gap between the two.
@@ -153,10 +154,10 @@ def normal_agreement(
         on_gpu: Tensor = cuda_shade.NormalAgreement.apply(  # type: ignore[no-untyped-call]
             normal, depth, alpha, camera, edge
         )
-        return on_gpu
+        return weight * on_gpu
     count = threads or torch.get_num_threads()
     loss: Tensor = _NormalAgreement.apply(  # type: ignore[no-untyped-call]
-        normal, depth, alpha, camera, edge, count
+        normal, depth, alpha, camera, edge, weight, count
     )
     return loss
 
@@ -290,10 +291,11 @@ class _NormalAgreement(torch.autograd.Function):
         alpha: Tensor,
         camera: Pinhole,
         edge: float,
+        weight: float,
         threads: int,
     ) -> Tensor:
         height, width = alpha.shape
-        scale = 1.0 / ((height - 2) * (width - 2))
+        scale = weight / ((height - 2) * (width - 2))
         grads: list[Tensor] = []
         if any(ctx.needs_input_grad):
             grads = [alpha.new_empty(channels, height, width) for channels in (3, 1, 1)]
@@ -312,5 +314,5 @@ class _NormalAgreement(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *v: Tensor) -> tuple[Tensor | None, ...]:
         scale = float(v[0])
-        v_normal, v_depth, v_alpha = (g * scale for g in ctx.grads)
-        return v_normal.permute(1, 2, 0), v_depth[0], v_alpha[0], None, None, None
+        v_normal, v_depth, v_alpha = (g if scale == 1 else g * scale for g in ctx.grads)
+        return v_normal.permute(1, 2, 0), v_depth[0], v_alpha[0], *[None] * 4

@@ -54,8 +54,7 @@ def specular(
         near = torch.zeros_like(far) if near is None else near
         parts = [far + near] if shader.mixing == "sum" else [far, near]
     if shader.physical:
-        parts += [roughness[:, None], cosine[:, None]]
+        parts += [roughness, cosine]
     weights, biases = list(shader.weights), list(shader.biases)
-    x = torch.cat(parts, -1)
     half = shader.half_products
-    return mlp(x, weights, biases, exp_cap=RADIANCE_EXPONENT, half=half, limit=limit)
+    return mlp(parts, weights, biases, exp_cap=RADIANCE_EXPONENT, half=half, limit=limit)

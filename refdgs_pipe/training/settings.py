@@ -118,6 +118,17 @@ class TrainParams(Params):
     )
     anneal_to: float = Field(0.05, gt=0, le=1, description="share of the steps left at the end")
 
+    patience: float = Field(
+        0.0,
+        ge=0,
+        le=1,
+        description="fraction of the run without gain on held-out pixels after which the rest up "
+        "to anneal_from is left out; 0 = hold nothing out and never",
+    )
+    patience_tolerance: float = Field(
+        0.05, ge=0, le=10, description="dB on held-out pixels that count as a gain"
+    )
+
     ssim_share: float = Field(0.2, ge=0, le=1, description="share of 1 - SSIM in the image loss")
     mask_weight: float = Field(
         0.1, ge=0, le=10, description="weight of the alpha's cross-entropy against masks"

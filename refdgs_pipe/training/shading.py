@@ -157,13 +157,14 @@ def draw(
         plan: room for a GPU's lists; without it, the GPU is waited for.
     """
     surfels, values = _concatenated(scene)
-    maps = rasterize(surfels, values, camera, extra=extra, normals=True, plan=plan)
-    near, local_statistics = _near_features(scene, camera, maps, plan)
+    maps = rasterize(surfels, values, camera, extra=extra, normals=True, absolute=False, plan=plan)
     object_alpha, behind = maps.alpha, None
     if scene.background is not None:
         inside_at = values.shape[1] - 4
         object_alpha, behind = maps.features[..., inside_at], maps.features[..., inside_at + 1 :]
     assert maps.normal is not None
+    shaded = object_alpha.detach() > SHADED_ALPHA
+    near, local_statistics = _near_features(scene, camera, maps, shaded, plan)
     pixels = covered_pixels(object_alpha, SHADED_ALPHA, plan)
     limit = None if plan is None else plan.last()
     diffuse, roughness, reflected, cosine, near = shading_inputs(
@@ -181,14 +182,20 @@ def draw(
 
 
 def _near_features(
-    scene: Scene, camera: Pinhole, maps: Maps, plan: Plan | None
+    scene: Scene, camera: Pinhole, maps: Maps, shaded: Tensor, plan: Plan | None
 ) -> tuple[Tensor | None, ScreenStatistics | None]:
-    """(H, W, 4) local reflection features, premultiplied: an empty pixel means no near light."""
+    """(H, W, 4) local reflection features, premultiplied: an empty pixel means no near light.
+
+    Args:
+        shaded: (H, W) bool; other pixels are of no interest.
+    """
     if scene.shader is None or scene.shader.local == "none":
         return None, None
     if scene.shared_features is not None:
         return maps.features[..., 4:8], None
     if scene.local is None or scene.local_features is None:
         return None, None
-    local = rasterize(scene.local, scene.local_features, camera, plan=plan)
+    local = rasterize(
+        scene.local, scene.local_features, camera, needed=shaded, absolute=False, plan=plan
+    )
     return local.features, local.statistics

@@ -1,6 +1,5 @@
 """The optimisation of a Ref-DGS field, resumable at any step."""
 
-import itertools
 import json
 import math
 import time
@@ -16,7 +15,14 @@ from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.surfel_field import SurfelField
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.errors import Cancelled, TrainingError
-from refdgs_pipe.ops import Later, Plan, image_loss, normal_agreement
+from refdgs_pipe.ops import (
+    Later,
+    Plan,
+    composited,
+    image_loss_and_error,
+    mask_entropy,
+    normal_agreement,
+)
 from refdgs_pipe.ops.cuda import sent
 from refdgs_pipe.ops.native import keep_freed_memory
 from refdgs_pipe.ops.plan import Asked
@@ -25,9 +31,11 @@ from refdgs_pipe.training import losses
 from refdgs_pipe.training.checkpoint import read_checkpoint, write_checkpoint
 from refdgs_pipe.training.coverage import coverage
 from refdgs_pipe.training.field import TrainableField
-from refdgs_pipe.training.photos import TrainingPhoto, composited, load_training_photos, shrunk
+from refdgs_pipe.training.photos import TrainingPhoto, load_training_photos, shrunk
+from refdgs_pipe.training.plateau import Plateau, hold_out
 from refdgs_pipe.training.settings import TrainParams
 from refdgs_pipe.training.shading import Picture, draw
+from refdgs_pipe.training.work import share_behind
 
 
 @dataclass(frozen=True)
@@ -35,6 +43,7 @@ class Moment:
     """What makes a step what it is, so that it can be done again."""
 
     iteration: int
+    fraction: float  # of the schedule
     photo: TrainingPhoto
     backdrop: Tensor
 
@@ -43,8 +52,6 @@ Progress = Callable[[int, int, str, float], None]  # step, steps, figures, share
 CHECKPOINT_SECONDS = 30.0
 REPORT_STEPS = 10
 COVERAGE_VIEWS = 6
-# What a step costs, measured on the scenes of docs/performance.md, in parts of a full one
-PIXEL_COST, SURFEL_COST, REFLECT_COST, LOCAL_COST = 0.3, 0.2, 0.35, 0.15
 NEAR = 0.02  # of the distance of the nearest camera to the ball's centre
 
 
@@ -80,13 +87,17 @@ class Trainer:
         self.field = TrainableField(
             params, model, photos, masked=self.masked, near=self.near, device=device
         )
+        if params.patience > 0:
+            photos = hold_out(photos, params.seed)
         self.full = [photo.to(device) for photo in photos]
+        self.plateau = Plateau(params, photos, self.field.reflect_from)
+        self.skipped = 0  # steps of the schedule that were left out
         self.scales: dict[float, list[TrainingPhoto]] = {1.0: self.full}
         self.iteration = 0
         self.loss, self.psnr = math.nan, math.nan
         self.curve: list[tuple[int, float, float]] = []
         self.plan = None if device == "cpu" else Plan(device)
-        self._later: Later[tuple[Moment, Asked]] = Later(device)  # loss, squared error, needs
+        self._later: Later[tuple[Moment, Asked]] = Later(device)  # loss, squared errors, needs
 
     def run(self, progress: Progress) -> SurfelField:
         """Train to the end, or until `progress` raises; a checkpoint is kept either way.
@@ -96,15 +107,18 @@ class Trainer:
             Cancelled: `progress` raised it; the next run continues from here.
         """
         self._resume()
-        total = self.params.iterations
         saved = time.monotonic()
         try:
-            while self.iteration < total:
+            while self.position < self.params.iterations:
                 self.step()
-                if self.iteration % REPORT_STEPS == 0:
+                last = self.position == self.params.iterations
+                if self.iteration % REPORT_STEPS == 0 or last:
+                    if self.params.patience > 0:
+                        self._skip_a_plateau()
                     count = len(self.field.geometry)
                     note = f"loss {self.loss:.4f}  PSNR {self.psnr:.2f} dB  {count} surfels"
-                    progress(self.iteration, total, note, self._work())
+                    total = self.params.iterations - self.skipped
+                    progress(self.iteration, total, note, self._behind())
                 if time.monotonic() - saved > CHECKPOINT_SECONDS:
                     self.save()
                     saved = time.monotonic()
@@ -113,6 +127,31 @@ class Trainer:
             raise
         self._read(all_of_them=True)
         return self.field.freeze()
+
+    @property
+    def position(self) -> int:
+        """The step of the schedule, of `iterations`: those that were taken or left out."""
+        return self.iteration + self.skipped
+
+    def _skip_a_plateau(self) -> None:
+        """Once held-out pixels get no better, go on where rates begin to shrink."""
+        p = self.params
+        tail = math.ceil(p.anneal_from * p.iterations)
+        self._read(all_of_them=True)  # or it would depend on when figures arrive
+        if self.position < tail and self.plateau.reached(self.position / p.iterations):
+            self.skipped = tail - self.position
+
+    @property
+    def early(self) -> str | None:
+        """Why the run is shorter than asked for, if it is."""
+        if not self.skipped:
+            return None
+        p, plateau = self.params, self.plateau
+        return (
+            f"{self.skipped} of {p.iterations} steps left out: held-out pixels, {plateau.best:.2f} "
+            f"dB at step {round(plateau.best_at * p.iterations)}, gained less than "
+            f"{p.patience_tolerance:g} dB in {p.patience:.0%} of the run"
+        )
 
     def coverage(self, field: SurfelField) -> float:
         """How much of the object the field shows, over a few training photos; see `coverage`."""
@@ -128,36 +167,34 @@ class Trainer:
 
     def step(self) -> None:
         """One photo, one gradient, one update."""
-        p = self.params
-        photo = self._photo(self.iteration / p.iterations)
+        fraction = self.position / self.params.iterations
+        photo = self._photo(fraction)
         backdrop = torch.rand(3, generator=self.rng) if self.masked else torch.zeros(3)
-        self._update(Moment(self.iteration, photo, sent(backdrop, self.device)))
+        self._update(Moment(self.iteration, fraction, photo, sent(backdrop, self.device)))
         self.iteration += 1
-        adapts = self.field.adapts(self.iteration)
+        adapts = self.field.adapts(self.position)
         self._read(all_of_them=adapts)
         if adapts:
-            self.field.adapt(self.iteration, self.rng)
+            self.field.adapt(self.position, self.rng)
             if self.plan is not None:
                 self.plan.settle()
 
     def _update(self, moment: Moment) -> None:
         p, photo, plan = self.params, moment.photo, self.plan
-        fraction = moment.iteration / p.iterations
-        self.field.set_rates(fraction)
+        self.field.set_rates(moment.fraction)
         if plan is not None:
             plan.begin()
         extra: Extra = "distortion" if p.distortion_weight > 0 else "depth"
-        scene = self.field.scene(photo.pinhole, fraction)
+        scene = self.field.scene(photo.pinhole, moment.fraction)
         picture = draw(scene, photo.pinhole, moment.backdrop, extra=extra, plan=plan)
-        target = composited(photo, moment.backdrop)
-        loss = self._loss(picture, photo, target)
+        target = composited(photo.rgb, photo.mask, moment.backdrop)
+        loss, error = self._loss(picture, photo, target)
         loss.backward()  # type: ignore[no-untyped-call]
         misfit = None if plan is None else plan.misfit
         self.field.observe(picture, photo.pinhole.width, misfit)
         self.field.step(misfit)
-        with torch.no_grad():
-            error = (picture.image - target).square().mean()
-        figures = torch.stack([loss.detach(), error])
+        held = self._held_error(photo, picture.image, target)
+        figures = torch.stack([loss.detach(), error, held])
         if plan is None:
             self._later.send((moment, []), figures)
         else:
@@ -172,15 +209,26 @@ class Trainer:
         pick = int(torch.randint(len(self.full), (1,), generator=self.rng))
         return self.scales[scale][pick]
 
-    def _loss(self, picture: Picture, photo: TrainingPhoto, target: Tensor) -> Tensor:
+    def _loss(
+        self, picture: Picture, photo: TrainingPhoto, target: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """What is minimised, and the mean squared error of the picture."""
         p, maps = self.params, picture.maps
         valid = None if photo.valid is None else photo.valid.float()
-        loss = image_loss(picture.image, target, weight=valid, ssim_share=p.ssim_share)
+        loss, error = image_loss_and_error(
+            picture.image, target, weight=valid, ssim_share=p.ssim_share
+        )
+        # weights go in, so that backward has nothing to scale
         if photo.mask is not None and p.mask_weight > 0:
-            loss = loss + p.mask_weight * losses.mask_entropy(maps.alpha, photo.mask.float() / 255)
+            loss = loss + mask_entropy(maps.alpha, photo.mask, weight=p.mask_weight)
         if p.normal_weight > 0 and maps.normal is not None and maps.depth is not None:
-            loss = loss + p.normal_weight * normal_agreement(
-                maps.normal, maps.depth, maps.alpha, photo.pinhole, edge=p.normal_edge
+            loss = loss + normal_agreement(
+                maps.normal,
+                maps.depth,
+                maps.alpha,
+                photo.pinhole,
+                edge=p.normal_edge,
+                weight=p.normal_weight,
             )
         if p.smooth_weight > 0:
             loss = loss + p.smooth_weight * losses.normal_smoothness(
@@ -189,7 +237,15 @@ class Trainer:
         if maps.distortion is not None:
             relative = maps.distortion.mean() / NEAR**2  # it is measured in near / depth
             loss = loss + p.distortion_weight * relative
-        return loss
+        return loss, error
+
+    @staticmethod
+    def _held_error(photo: TrainingPhoto, image: Tensor, target: Tensor) -> Tensor:
+        """The mean squared error of held-out pixels, NaN where there are none."""
+        if photo.held is None:
+            return target.new_full((), math.nan)
+        rows, columns = photo.held
+        return (image.detach()[rows, columns] - target[rows, columns]).square().mean()
 
     def _read(self, *, all_of_them: bool = False) -> None:
         """Take in the figures of steps that are through, some steps later on a GPU.
@@ -200,14 +256,15 @@ class Trainer:
             again = []
             for (moment, asked), (figures, *needed) in arrived:
                 if self.plan is None or self.plan.learn(asked, *needed):
-                    self._note(moment.iteration, *figures.tolist())
+                    self._note(moment, *figures.tolist())
                 else:
                     again.append(moment)
             for moment in again:
                 self._update(moment)
 
-    def _note(self, step: int, value: float, error: float) -> None:
+    def _note(self, moment: Moment, value: float, error: float, held: float) -> None:
         """Running figures; a loss that is not finite ends the run at the last good checkpoint."""
+        step = moment.iteration
         if not math.isfinite(value):
             raise TrainingError(
                 f"training diverged at step {step + 1}: the loss is {value}. The last good "
@@ -217,31 +274,27 @@ class Trainer:
         keep = 0.98 if math.isfinite(self.loss) else 0.0
         self.loss = value if not keep else keep * self.loss + (1 - keep) * value
         self.psnr = psnr if not keep else keep * self.psnr + (1 - keep) * psnr
+        if math.isfinite(held):
+            self.plateau.note(moment.photo.camera.name, held, moment.fraction)
         if step % 50 == 0:
             self.curve.append((step, self.loss, self.psnr))
 
-    def _work(self) -> float:
-        """The share of the run's time that should be behind, from what its phases cost."""
-        p = self.params
-        edges = sorted({0.0, 1.0, p.coarse_until, self.field.reflect_from, p.local_from})
-        now = self.iteration / p.iterations
-        behind = whole = 0.0
-        for start, end in itertools.pairwise(edge for edge in edges if edge <= 1):
-            pixels = p.coarse**2 if start < p.coarse_until else 1.0
-            cost = SURFEL_COST + PIXEL_COST * pixels
-            if p.reflection and start >= self.field.reflect_from:
-                cost += REFLECT_COST * pixels
-                cost += LOCAL_COST * pixels * (p.local == "dual" and start >= p.local_from)
-            whole += cost * (end - start)
-            behind += cost * max(0.0, min(end, now) - start)
-        return behind / whole
+    def _behind(self) -> float:
+        steps = self.params.iterations
+        skipped = self.skipped / steps
+        return share_behind(self.params, self.field.reflect_from, self.position / steps, skipped)
 
     def save(self) -> None:
         """Write the checkpoint; an older one is replaced only when the new one is complete."""
         self._read(all_of_them=True)
         tensors = {**self.field.state(), "rng": self.rng.get_state()}
-        figures = {"iteration": self.iteration, "loss": self.loss, "psnr": self.psnr}
-        write_checkpoint(self.scratch, tensors, json.dumps({**figures, "curve": self.curve}))
+        figures: dict[str, object] = {
+            "iteration": self.iteration,
+            "loss": self.loss,
+            "psnr": self.psnr,
+        }
+        figures |= {"skipped": self.skipped, "plateau": self.plateau.state(), "curve": self.curve}
+        write_checkpoint(self.scratch, tensors, json.dumps(figures))
 
     def _resume(self) -> None:
         found = read_checkpoint(self.scratch)
@@ -252,4 +305,6 @@ class Trainer:
         self.rng.set_state(tensors.pop("rng"))
         self.field.restore(tensors)
         self.iteration, self.loss, self.psnr = (figures[k] for k in ("iteration", "loss", "psnr"))
+        self.skipped = figures.get("skipped", 0)
+        self.plateau.restore(figures.get("plateau", {}))
         self.curve = [(int(a), float(b), float(c)) for a, b, c in figures["curve"]]
