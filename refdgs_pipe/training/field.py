@@ -28,6 +28,7 @@ HULL_OPACITY = 0.5
 BALL_OPACITY = 0.1
 LOCAL_OPACITY = 0.1
 BACKGROUND_OPACITY = 0.1
+FAINT = 0.05  # what starts as faint as 0.1 is pruned below this at most
 BALL_MARGIN = 1.1  # object surfels may stray this far, in ball radii
 LARGEST = 0.1  # surfels larger than this share of the extent go
 
@@ -63,6 +64,7 @@ class TrainableField:
         self.most_local = max(params.local_surfels, min(params.max_local_surfels, round(most / 2)))
         rng = np.random.default_rng(params.seed)
         self.rates = self._rates()
+        self.faintest = params.prune_opacity
         self.geometry = self._set(self._geometry(model, photos, masked, rng))
         self.local: TrainableSet | None = None
         self.shader: Shader | None = None
@@ -114,6 +116,8 @@ class TrainableField:
         if masked and p.start != "ball" and all(photo.mask is not None for photo in photos):
             cloud = _hull_cloud(p, model, photos, rng)
             opacity = p.start_opacity if p.start == "volume" else HULL_OPACITY
+        if cloud is None or p.start == "volume":
+            self.faintest = min(self.faintest, FAINT)
         if cloud is None:
             cloud, opacity = initial.ball_cloud(model.ball, p.surfels, rng), BALL_OPACITY
             inside = self._inside(torch.from_numpy(model.points)).numpy()
@@ -237,7 +241,7 @@ class TrainableField:
             return
         size = p.split_size * self.extent
         rules = DensityRules(
-            p.densify_gradient, size, LARGEST * self.extent, p.prune_opacity, self.most
+            p.densify_gradient, size, LARGEST * self.extent, self.faintest, self.most
         )
         densify(self.geometry, rules, self._inside(self.geometry.raw["means"].detach()), rng)
         if self.local is not None and iteration > p.local_from * p.iterations + p.densify_every:
@@ -249,9 +253,8 @@ class TrainableField:
             densify(self.local, local, near, rng)
         if self.background is not None:
             means = self.background.raw["means"].detach()
-            rules = DensityRules(
-                p.densify_gradient, size, math.inf, p.prune_opacity, p.background_surfels
-            )
+            opacity = min(p.prune_opacity, FAINT)
+            rules = DensityRules(p.densify_gradient, size, math.inf, opacity, p.background_surfels)
             densify(self.background, rules, ~self._inside(means, 1.0), rng)
 
     def _sets(self) -> list[TrainableSet]:

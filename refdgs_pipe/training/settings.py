@@ -88,7 +88,12 @@ class TrainParams(Params):
     split_size: float = Field(
         0.003, gt=0, le=1, description="surfels larger than this are split, in scene extents"
     )
-    prune_opacity: float = Field(0.2, ge=0, lt=1, description="surfels fainter than this go")
+    prune_opacity: float = Field(
+        0.2,
+        ge=0,
+        lt=1,
+        description="surfels fainter than this go; 0.05 at most where they start faint",
+    )
     local_prune_opacity: float = Field(
         0.01, ge=0, lt=1, description="local surfels fainter than this go"
     )
