@@ -74,11 +74,22 @@ def unwrap(
         timeout_s: for each program.
 
     Raises:
-        MeshError: the mesh has no faces.
+        MeshError: the mesh has no faces, or vertices that no program could place.
         Cancelled: `stop` was set.
     """
     if not len(mesh.faces):
         raise MeshError("the mesh has no faces to unwrap: look at the cleaned mesh (clean)")
+    lost = np.flatnonzero(~np.isfinite(mesh.vertices).all(1))
+    if len(lost):
+        raise MeshError(
+            f"{len(lost)} vertices of the mesh are not finite, the first is number {lost[0]}: "
+            "expected coordinates in world units. Repair the adopted mesh, or drop it"
+        )
+    if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
+        raise MeshError(
+            f"a face of the mesh names vertex {mesh.faces.max()} of {len(mesh.vertices)}: "
+            "repair the adopted mesh, or drop it"
+        )
     shape = {"vertices": mesh.vertices, "faces": mesh.faces, "gutter": gutter}
     uvatlas = {**shape, "max_stretch": max_stretch}
     attempts = [

@@ -1,10 +1,11 @@
 """Every mesh gets an atlas without overlaps, whatever program fails on it."""
 
 import sys
+from collections.abc import Callable
 
 import numpy as np
 import pytest
-from solids import sphere
+from solids import joined, sphere
 
 from refdgs_pipe.artifacts.mesh import Mesh, TriangleMesh
 from refdgs_pipe.child import ChildCrashed, ChildTimeout, call_in_child
@@ -123,3 +124,55 @@ def test_an_atlas_is_the_same_every_time(partitions: int) -> None:
         for _ in range(2)
     ]
     np.testing.assert_array_equal(*made)
+
+
+def with_fin(mesh: TriangleMesh) -> Mesh:
+    """A third face on an edge."""
+    tip = mesh.vertices[mesh.faces[100, :1]] * np.float32(1.5)
+    fin = np.array([[*mesh.faces[100, :2], len(mesh.vertices)]], np.int32)
+    return Mesh(np.concatenate([mesh.vertices, tip]), np.concatenate([mesh.faces, fin]))
+
+
+def with_flat_face(mesh: TriangleMesh) -> Mesh:
+    a, b, _ = mesh.faces[50]
+    return Mesh(mesh.vertices, np.concatenate([mesh.faces, np.array([[a, b, b]], np.int32)]))
+
+
+def two_pieces(mesh: TriangleMesh) -> Mesh:
+    both = joined(mesh, TriangleMesh(mesh.vertices * 0.3 + np.float32(3), mesh.faces))
+    return Mesh(both.vertices, both.faces)
+
+
+@pytest.mark.parametrize("spoilt", [with_fin, with_flat_face, two_pieces])
+def test_a_bad_mesh_still_gets_an_atlas_from_some_program(
+    spoilt: Callable[[TriangleMesh], Mesh],
+) -> None:
+    mesh = spoilt(sphere(16))
+    result = charts.unwrap(mesh, gutter=4 / 1024, max_stretch=0.1667, timeout_s=60)
+    assert result.layout.overlap < 0.002 and np.isfinite(result.mesh.uv).all()
+    corners = result.mesh.vertices[result.mesh.faces]
+    np.testing.assert_allclose(corners, mesh.vertices[mesh.faces])
+    assert result.refused == () or spoilt is with_flat_face
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_vertices_that_are_nowhere_are_named(value: float) -> None:
+    mesh = ball()
+    mesh.vertices[7, 1] = value
+    with pytest.raises(MeshError, match="not finite, the first is number 7"):
+        charts.unwrap(mesh, gutter=0.01, max_stretch=0.1, timeout_s=60)
+
+
+def test_faces_of_vertices_that_are_not_there_are_refused() -> None:
+    mesh = ball()
+    mesh.faces[3, 1] = 10**6
+    with pytest.raises(MeshError, match="names vertex 1000000 of"):
+        charts.unwrap(mesh, gutter=0.01, max_stretch=0.1, timeout_s=60)
+
+
+@pytest.mark.slow
+def test_a_million_faces_end_in_time_with_some_atlas() -> None:
+    solid = sphere(500)
+    mesh = Mesh(solid.vertices, solid.faces)
+    result = charts.unwrap(mesh, gutter=4 / 1024, max_stretch=0.1667, timeout_s=2)
+    assert result.layout.method == "face by face" and len(result.refused) == 3
