@@ -30,10 +30,10 @@ template <class S> void bind_raster(nb::module_& m, const char* name) {
       .def("forward",
            [](Raster<S>& self, const std::vector<Address>& in, int64_t count, int channels,
               const std::vector<double>& camera, int width, int height, int extra, bool normals, int threads,
-              Address maps, Address radii) {
+              bool absolute, Address needed, Address maps, Address radii) {
              nb::gil_scoped_release release;
              self.forward(surfels<S>(in, count, channels), pinhole<S>(camera, width, height),
-                          {Extra(extra), normals, threads}, at<S>(maps), at<S>(radii));
+                          {Extra(extra), normals, threads, absolute, at<const uint8_t>(needed)}, at<S>(maps), at<S>(radii));
            })
       .def("backward",
            [](Raster<S>& self, const std::vector<Address>& in, int64_t count, int channels, Address maps,

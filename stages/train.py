@@ -10,7 +10,7 @@ LEAST_OVERLAP = 0.6  # of masks and field
 LEAST_FILL = 0.02  # of the object ball's disc, where there are no masks
 
 
-@stage(version=3)
+@stage(version=4)
 def train(views: Views, model: SparseModel, params: TrainParams, job: Job) -> SurfelField:
     """Optimise geometry, local reflection and background surfels and the shader."""
     import torch
@@ -36,6 +36,9 @@ def train(views: Views, model: SparseModel, params: TrainParams, job: Job) -> Su
             "photos or more train.iterations"
         )
     job.measure("object shown", round(100 * shown, 1), "%")
+    job.measure("steps", trainer.iteration)
+    if trainer.early:
+        job.measure("stopped early", trainer.early)
     job.measure("loss", round(trainer.loss, 5))
     job.measure("train PSNR", round(trainer.psnr, 2), "dB")
     job.measure("surfels", len(field.geometry))

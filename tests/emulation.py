@@ -26,10 +26,12 @@ class Guarded:
         self.blocks.append(block)
         return block[GUARD : GUARD + size]
 
-    def new_empty(self, like: Tensor, *size: Any) -> Tensor:
+    def new_empty(self, like: Tensor, *size: Any, dtype: torch.dtype | None = None) -> Tensor:
         """Instead of `Tensor.new_empty`."""
         shape = torch.Size(size[0] if size and isinstance(size[0], tuple | list) else size)
-        return self(shape.numel() * like.itemsize, like).view(like.dtype).view(shape)
+        kind = dtype or like.dtype
+        block = self(shape.numel() * kind.itemsize, like).view(kind).view(shape)
+        return block if kind.is_floating_point else block.fill_(7)
 
     def empty_like(self, like: Tensor) -> Tensor:
         """Instead of `torch.empty_like`."""
@@ -49,11 +51,16 @@ def emulated(order: int = 0) -> Iterator[None]:
     def kernels(name: str, like: Tensor) -> Callable[..., Any]:
         return partial(getattr(module, f"{name}_{cuda.suffix(like)}"), order)
 
+    def memory_like(like: Tensor, *size: Any, **kind: torch.dtype) -> Tensor:
+        return memory.new_empty(like, *size, **kind)
+
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(cuda, "on_gpu", lambda tensor: True)
         patch.setattr(cuda, "kernels", kernels)
         patch.setattr(cuda, "memory", memory)
-        patch.setattr(Tensor, "new_empty", lambda like, *size: memory.new_empty(like, *size))
+        patch.setattr(
+            Tensor, "new_empty", lambda like, *size, **kind: memory.new_empty(like, *size, **kind)
+        )
         patch.setattr(torch, "empty_like", memory.empty_like)
         patch.setattr(cuda, "processors", lambda like: 1)
         yield

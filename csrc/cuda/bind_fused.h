@@ -2,6 +2,8 @@
 #pragma once
 #include <cmath>
 
+#include "../fused_arguments.h"
+#include "adam.h"
 #include "bind_raster.h"
 #include "image_loss.h"
 #include "mlp.h"
@@ -11,12 +13,6 @@
 namespace refdgs::cuda {
 
 namespace nb = nanobind;
-using Size = const std::vector<int64_t>&;
-using Strides = const std::vector<int64_t>&;
-using Addresses = const std::vector<Address>&;
-using Numbers = const std::vector<double>&;
-using Images = const std::vector<std::pair<Address, std::vector<int64_t>>>&;
-
 template <class S, class Queue> void bind_image_loss(nb::module_& m, const std::string& type) {
   // images: image, target; constants: weight (or 0), each; outputs: slopes, gradient, map (each or 0), parts,
   // sums, loss (or 0).
@@ -30,134 +26,106 @@ template <class S, class Queue> void bind_image_loss(nb::module_& m, const std::
   });
 }
 
-// base: level 0; coarser: levels 1 and up, one after the other.
-template <class S> MipMap<S> grid_mip_map(Size size, Address base, Address coarser) {
-  MipMap<S> map{int(size[0]), int(size[1]), int(size[2]), {at<S>(base)}};
-  S* next = at<S>(coarser);
-  for (int level = 1; level < map.levels; ++level) {
-    map.level[level] = next;
-    next += int64_t(map.height >> level) * (map.width >> level) * kMipChannels;
-  }
-  return map;
-}
-
-// in: base, coarser, directions, roughness, coordinates; strides: of directions (2) and of roughness.
-template <class S>
-SphMipQuery<S> grid_mip_query(Size size, int64_t count, double min_level, Addresses in, Strides strides) {
-  const MipMap<S> map = grid_mip_map<S>(size, in[0], in[1]);
-  SphMipQuery<S> query{{map.height, map.width, map.levels, {}}, count, at<S>(in[2]), strides[0], strides[1],
-                       at<S>(in[3]), strides[2], S(min_level), at<S>(in[4])};
-  for (int level = 0; level < map.levels; ++level) query.map.level[level] = map.level[level];
-  return query;
-}
-
 template <class S, class Queue> void bind_sph_mip(nb::module_& m, const std::string& type) {
+  // limit: of the directions that are looked at, or 0.
   m.def(("sph_mip_" + type).c_str(), [](Address stream, Size size, int64_t count, double min_level, Addresses in,
-                                        Strides strides, Address out) {
+                                        Strides strides, Address limit, Address out) {
     nb::gil_scoped_release release;
-    sph_mip(Queue{at<void>(stream)}, grid_mip_query<S>(size, count, min_level, in, strides),
-            grid_mip_map<S>(size, in[0], in[1]), at<S>(out));
+    sph_mip(Queue{at<void>(stream)},
+            LimitedQuery<S>{sph_mip_query<S>(size, count, min_level, in, strides), at<const int64_t>(limit)},
+            mip_map<S>(size, in[0], in[1]), at<S>(out));
   });
   // grads: base (or 0), directions, roughness; work: bits (0 with base), scale.
   m.def(("sph_mip_bwd_" + type).c_str(), [](Address stream, Size size, int64_t count, double min_level, Addresses in,
-                                            Strides strides, Address v_out, Addresses grads, Addresses work) {
+                                            Strides strides, Address limit, Address v_out, Addresses grads,
+                                            Addresses work) {
     nb::gil_scoped_release release;
     SphMipGrads<S> to{{int(size[0]), int(size[1]), int(size[2]), {at<S>(grads[0])}}, at<S>(grads[1]), at<S>(grads[2])};
-    sph_mip_bwd(Queue{at<void>(stream)}, grid_mip_query<S>(size, count, min_level, in, strides), at<const S>(v_out),
-                to, SphMipWork<S>{at<int64_t>(work[0]), at<uint32_t>(work[1])});
+    sph_mip_bwd(Queue{at<void>(stream)},
+                LimitedQuery<S>{sph_mip_query<S>(size, count, min_level, in, strides), at<const int64_t>(limit)},
+                at<const S>(v_out), to, SphMipWork<S>{at<int64_t>(work[0]), at<uint32_t>(work[1])});
   });
 }
 
-// shape: points, inputs, hidden layers, outputs, blocks; cap: empty, or of the exponential.
+// shape: points, inputs, hidden layers, outputs, blocks, tensor cores; cap: empty, or of the exponential; limit: of the
+// points that are looked at, or 0.
 template <class S>
-MlpCall<S> mlp_call(Size shape, Address x, Strides strides, Addresses weights, Addresses biases, Numbers cap) {
+MlpCall<S> mlp_call(Size shape, Address x, Strides strides, Addresses weights, Addresses biases, Numbers cap,
+                    Address limit) {
   MlpCall<S> call{};
-  call.shape = {int(shape[1]), int(shape[2]), int(shape[3])};
-  call.blocks = int(shape[4]);
-  call.points = {shape[0], at<S>(x), strides[0], strides[1], !cap.empty(), cap.empty() ? 0 : cap[0], false};
+  call.shape = mlp_shape(shape);
+  call.blocks = int(shape[4]), call.tensor_cores = shape[5] != 0;
+  call.points = mlp_points(shape, cap, false, 0);
+  call.x = at<const S>(x), call.x_row = strides[0], call.x_column = strides[1];
+  call.limit = at<const int64_t>(limit);
+  call.net = mlp_parameters<const S>(weights, biases);
   call.cap = S(call.points.cap), call.largest = std::exp(call.cap);
-  for (size_t l = 0; l < weights.size(); ++l)
-    call.net.weights[l] = at<const S>(weights[l]), call.net.bias[l] = at<const S>(biases[l]);
   return call;
 }
 
 template <class S, class Queue> void bind_mlp(nb::module_& m, const std::string& type) {
   m.def(("mlp_" + type).c_str(), [](Address stream, Size shape, Address x, Strides strides, Addresses weights,
-                                    Addresses biases, Numbers cap, Address out) {
+                                    Addresses biases, Numbers cap, Address limit, Address out) {
     nb::gil_scoped_release release;
-    MlpCall<S> call = mlp_call<S>(shape, x, strides, weights, biases, cap);
+    MlpCall<S> call = mlp_call<S>(shape, x, strides, weights, biases, cap, limit);
     call.out = at<S>(out);
     mlp(Queue{at<void>(stream)}, call);
   });
   // data: out, v_out, v_x (or 0), hidden, parts.
   m.def(("mlp_bwd_" + type).c_str(), [](Address stream, Size shape, Address x, Strides strides, Addresses weights,
-                                        Addresses biases, Numbers cap, Addresses data, Addresses v_weights,
+                                        Addresses biases, Numbers cap, Address limit, Addresses data, Addresses v_weights,
                                         Addresses v_biases) {
     nb::gil_scoped_release release;
-    MlpCall<S> call = mlp_call<S>(shape, x, strides, weights, biases, cap);
+    MlpCall<S> call = mlp_call<S>(shape, x, strides, weights, biases, cap, limit);
     call.out = at<S>(data[0]), call.v_out = at<const S>(data[1]), call.v_x = at<S>(data[2]);
     call.hidden = at<S>(data[3]), call.parts = at<S>(data[4]);
-    for (size_t l = 0; l < v_weights.size(); ++l)
-      call.v_net.weights[l] = at<S>(v_weights[l]), call.v_net.bias[l] = at<S>(v_biases[l]);
+    call.v_net = mlp_parameters<S>(v_weights, v_biases);
     mlp_bwd(Queue{at<void>(stream)}, call);
   });
 }
 
-// numbers: fx, fy, cx, cy and the rows of the rotation from the camera to the world.
-template <class S> View<S> grid_view(Size size, Numbers numbers) {
-  View<S> view{int(size[1]), int(size[0]), S(numbers[0]), S(numbers[1]), S(numbers[2]), S(numbers[3]), {}};
-  for (int i = 0; i < 9; ++i) view.world_from_cam.m[i] = S(numbers[size_t(4 + i)]);
-  return view;
-}
-
-using Tables = const std::vector<std::pair<Address, std::vector<int64_t>>>&;  // addresses and two strides
-template <class S> Rows<S> grid_rows(const std::pair<Address, std::vector<int64_t>>& of) {
-  return {at<S>(of.first), of.second[0], of.second[1]};
-}
-template <class S> Inputs<S> grid_inputs(Tables of) {
-  return {grid_rows<S>(of[0]), grid_rows<S>(of[1]), grid_rows<S>(of[2]), grid_rows<S>(of[3]), grid_rows<S>(of[4])};
-}
-
-// images: features, alpha, normal, near (address 0: none).
-template <class S>
-Covered<S> grid_covered(Size size, Numbers numbers, int64_t count, Address pixels, int channels, Images images) {
-  return {grid_view<S>(size, numbers), count, at<const int64_t>(pixels), channels, image<S>(images[0]),
-          image<S>(images[1]), image<S>(images[2]), image<S>(images[3])};
-}
-
-// tables: diffuse, radiance; images: object alpha, alpha, behind (address 0: none).
-template <class S>
-Composite<S> grid_composite(Size size, int64_t count, Address pixels, Tables tables, Images images) {
-  return {int(size[1]), int(size[0]), count, at<const int64_t>(pixels), grid_rows<const S>(tables[0]),
-          grid_rows<const S>(tables[1]), image<S>(images[0]), image<S>(images[1]), image<S>(images[2]), {}};
-}
-
 template <class S, class Queue> void bind_shade(nb::module_& m, const std::string& type) {
+  // Scratch of covered_pixels: bytes of its counts, and of the scan's own.
+  m.def(("covered_sizes_" + type).c_str(), [](Address stream, Size size) {
+    CoveredCall<S> call{int(size[1]), int(size[0]), {}, S(0), 0, nullptr, nullptr, nullptr, nullptr};
+    const int64_t scan = int64_t(Queue{at<void>(stream)}.scan_bytes(call.blocks() + 1));
+    return std::vector<int64_t>{(call.blocks() + 1) * int64_t(sizeof(int64_t)), scan};
+  });
+  // memory: pixels, counts, the scan's scratch; plan: what is needed, and what says that it does not fit.
+  m.def(("covered_pixels_" + type).c_str(), [](Address stream, Size size, Images alpha, double least, int64_t room,
+                                               Addresses memory, int64_t bytes, Addresses plan) {
+    nb::gil_scoped_release release;
+    covered_pixels(Queue{at<void>(stream)},
+                   CoveredCall<S>{int(size[1]), int(size[0]), image<S>(alpha[0]), S(least), room,
+                                  at<int64_t>(memory[0]), at<int64_t>(memory[1]), at<int64_t>(plan[0]),
+                                  at<float>(plan[1])},
+                   at<void>(memory[2]), bytes);
+  });
   m.def(("shading_inputs_" + type).c_str(), [](Address stream, Size size, Numbers numbers, int64_t count,
                                                Address pixels, int channels, Images images, Tables out) {
     nb::gil_scoped_release release;
-    shading_inputs(Queue{at<void>(stream)}, grid_covered<S>(size, numbers, count, pixels, channels, images),
-                   grid_inputs<S>(out));
+    shading_inputs(Queue{at<void>(stream)}, covered<S>(size, numbers, count, pixels, channels, images),
+                   inputs<S>(out));
   });
   m.def(("shading_inputs_bwd_" + type).c_str(), [](Address stream, Size size, Numbers numbers, int64_t count,
                                                    Address pixels, int channels, Images images, Tables v,
                                                    Addresses grads) {
     nb::gil_scoped_release release;
-    shading_inputs_bwd(Queue{at<void>(stream)}, grid_covered<S>(size, numbers, count, pixels, channels, images),
-                       grid_inputs<const S>(v),
+    shading_inputs_bwd(Queue{at<void>(stream)}, covered<S>(size, numbers, count, pixels, channels, images),
+                       inputs<const S>(v),
                        MapGrads<S>{at<S>(grads[0]), at<S>(grads[1]), at<S>(grads[2]), at<S>(grads[3])});
   });
   m.def(("composite_" + type).c_str(), [](Address stream, Size size, int64_t count, Address pixels, Tables tables,
                                           Images images, Address backdrop, Address out) {
     nb::gil_scoped_release release;
-    composite(Queue{at<void>(stream)}, grid_composite<S>(size, count, pixels, tables, images), at<const S>(backdrop),
+    composite(Queue{at<void>(stream)}, composite_of<S>(size, count, pixels, tables, images), at<const S>(backdrop),
               at<S>(out));
   });
   // grads: diffuse + radiance, object alpha, alpha.
   m.def(("composite_bwd_" + type).c_str(), [](Address stream, Size size, int64_t count, Address pixels, Tables tables,
                                               Images images, Address backdrop, Images v_image, Addresses grads) {
     nb::gil_scoped_release release;
-    composite_bwd(Queue{at<void>(stream)}, grid_composite<S>(size, count, pixels, tables, images),
+    composite_bwd(Queue{at<void>(stream)}, composite_of<S>(size, count, pixels, tables, images),
                   at<const S>(backdrop), image<S>(v_image[0]), at<S>(grads[0]), at<S>(grads[1]), at<S>(grads[2]));
   });
   // images: normal, depth, alpha; grads: of these three and working memory, or all 0; sums: parts, sum.
@@ -165,10 +133,29 @@ template <class S, class Queue> void bind_shade(nb::module_& m, const std::strin
                                                  double scale, double edge, Addresses grads, Addresses sums) {
     nb::gil_scoped_release release;
     normal_agreement(Queue{at<void>(stream)},
-                     Agreement<S>{grid_view<S>(size, numbers), image<S>(images[0]), image<S>(images[1]),
+                     Agreement<S>{view_of<S>(size, numbers), image<S>(images[0]), image<S>(images[1]),
                                   image<S>(images[2]), S(scale), S(edge), at<S>(grads[0]), at<S>(grads[1]),
                                   at<S>(grads[2])},
                      at<S>(grads[3]), at<S>(sums[0]), at<S>(sums[1]));
+  });
+}
+
+template <class S, class Queue> void bind_adam(nb::module_& m, const std::string& type) {
+  // addresses: of each tensor values, gradient, mean, square, step; constants: both betas, epsilon.
+  m.def(("adam_" + type).c_str(), [](Address stream, Addresses addresses, Size counts, Numbers rates,
+                                     Numbers constants, Address misfit) {
+    nb::gil_scoped_release release;
+    if (counts.size() > size_t(kAdamTensors)) throw std::invalid_argument("too many tensors");
+    AdamCall<S> call{};
+    call.tensors = int(counts.size());
+    for (size_t k = 0; k < counts.size(); ++k) {
+      const Address* of = &addresses[5 * k];
+      call.tensor[k] = {at<S>(of[0]), at<S>(of[1]), at<S>(of[2]), at<S>(of[3]), at<float>(of[4]), counts[k],
+                        S(rates[k]), 0};
+    }
+    call.beta1 = constants[0], call.beta2 = constants[1], call.epsilon = S(constants[2]);
+    call.misfit = at<const float>(misfit);
+    adam(Queue{at<void>(stream)}, call);
   });
 }
 

@@ -5,6 +5,7 @@
 namespace refdgs::cuda {
 
 template <class S, class Queue> void bind_grid(nanobind::module_& m, const std::string& type) {
+  bind_adam<S, Queue>(m, type);
   bind_raster<S, Queue>(m, type);
   bind_image_loss<S, Queue>(m, type);
   bind_mlp<S, Queue>(m, type);

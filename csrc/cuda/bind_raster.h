@@ -49,12 +49,14 @@ template <class S, class Queue> void bind_raster(nanobind::module_& m, const std
     project(Queue{at<void>(stream)}, drawing<S>({stream, shape, in, camera, by_surfel, 0}), at<S>(radii),
             at<void>(scratch), bytes);
   });
+  // plan: where the number of entries goes and what says that they do not fit; zeros where shape has that number.
   m.def(("raster_draw_" + type).c_str(), [](Address stream, Shape shape, Addresses in, Numbers camera,
                                             Address by_surfel, Address by_entry, Address scratch, Address maps,
-                                            Address moments) {
+                                            Address moments, Addresses plan) {
     nb::gil_scoped_release release;
     Drawing<S> d = drawing<S>({stream, shape, in, camera, by_surfel, by_entry});
     d.maps = at<S>(maps), d.moments = at<S>(moments);
+    d.needed = at<int64_t>(plan[0]), d.misfit = at<float>(plan[1]);
     bin_and_draw(Queue{at<void>(stream)}, d, at<void>(scratch));
   });
   // working: slots, activity, sums, pose parts (or 0); out: the seven of SurfelGrads.

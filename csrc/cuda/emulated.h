@@ -38,8 +38,18 @@ class Fibers {
     return out;
   }
   uint32_t ballot(int thread, bool p);
+  // The numbers that every lane of the warp brings, in the order of lanes.
+  template <class V> const V* gather(int thread, const V& mine) {
+    static_assert(sizeof(V) <= kBrought, "as much as a lane may bring");
+    Warp& w = warps_[size_t(thread / kWarp)];
+    char* brought = w.brought[w.gate.turn & 1];
+    std::memcpy(brought + sizeof(V) * (thread % kWarp), &mine, sizeof mine);
+    wait(w.gate, kWarp);
+    return reinterpret_cast<const V*>(brought);
+  }
 
  private:
+  static constexpr size_t kBrought = 64;
   struct Gate {
     int come = 0;
     unsigned turn = 0;
@@ -47,6 +57,7 @@ class Fibers {
   struct Warp {
     Gate gate;
     char slots[2][8 * kWarp];
+    alignas(16) char brought[2][kBrought * kWarp];
   };
   struct Fiber {
     ucontext_t entry;
@@ -84,6 +95,29 @@ struct EmulatedThread {
   template <class V> V shuffle_xor(V v, int mask) { return fibers->exchange(thread_, v, lane() ^ mask); }
   uint32_t ballot(bool p) { return fibers->ballot(thread_, p); }
   bool any(bool p) { return ballot(p) != 0; }
+  // To nearest with 10 bits after the first, ties away from 0. A double stays as it is: it proves who has what.
+  static double tf32(double x) { return x; }
+  static float tf32(float x) {
+    uint32_t bits;
+    std::memcpy(&bits, &x, 4);
+    bits = (bits + 0x1000u) & ~0x1fffu;
+    std::memcpy(&x, &bits, 4);
+    return x;
+  }
+  // By the table in PTX ISA, mma.m16n8k8 for .tf32.
+  template <class S> void mma(S* c, const S* a, const S* b) {
+    struct Brought {
+      S a[4], b[2];
+    };
+    const Brought* all = fibers->gather(thread_, Brought{{a[0], a[1], a[2], a[3]}, {b[0], b[1]}});
+    for (int i = 0; i < 4; ++i) {
+      const int row = lane() / 4 + (i >= 2 ? 8 : 0), column = 2 * (lane() % 4) + (i & 1);
+      for (int k = 0; k < 8; ++k) {
+        const S left = all[row % 8 * 4 + k % 4].a[(row >= 8 ? 1 : 0) + (k >= 4 ? 2 : 0)];
+        c[i] += left * all[column * 4 + k % 4].b[k / 4];
+      }
+    }
+  }
   void add_bits(int64_t* p, int64_t v) { *p = int64_t(uint64_t(*p) + uint64_t(v)); }
   void raise_bits(uint32_t* p, uint32_t v) { *p = *p < v ? v : *p; }
 };

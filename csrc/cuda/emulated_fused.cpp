@@ -1,4 +1,5 @@
 #include "emulated.h"
+#include "adam.inl"
 #include "image_loss.inl"
 #include "mlp.inl"
 #include "shade.inl"
@@ -7,6 +8,7 @@
 namespace refdgs::cuda {
 
 #define REFDGS_EMULATED(S)              \
+  REFDGS_ADAM(S, EmulatedQueue)         \
   REFDGS_IMAGE_LOSS(S, EmulatedQueue)   \
   REFDGS_MLP(S, EmulatedQueue)          \
   REFDGS_SHADE(S, EmulatedQueue)        \

@@ -12,10 +12,14 @@ constexpr int kMlpSide = kMlpPoints + 4;  // scalars between rows in shared memo
 
 template <class S> struct MlpCall {
   MlpShape shape;
-  MlpPoints<S> points;
+  MlpPoints points;
+  const S* x;            // element (i, c) at i * x_row + c * x_column
+  int64_t x_row, x_column;
+  const int64_t* limit;  // [1] only the first that many points are looked at; null: all
   MlpParameters<const S> net;
   S cap, largest;  // of the exponential, and exp(cap)
   int blocks;      // that share the tiles; backward has a part of `hidden` and `parts` for each
+  bool tensor_cores;  // for the hidden layers' products
   S* out;          // [points][outputs]
   const S* v_out;  // [points][outputs]
   S* v_x;          // [points][inputs], may be null
@@ -23,6 +27,7 @@ template <class S> struct MlpCall {
   S* parts;        // [blocks][numbers()] of the gradients of weights and biases, layer by layer
   MlpParameters<S> v_net;
 
+  REFDGS_HD int64_t count() const { return limit && *limit < points.count ? *limit : points.count; }
   REFDGS_HD int inputs(int l) const { return l ? kHidden : shape.inputs; }
   REFDGS_HD int outputs(int l) const { return l < shape.hidden_layers ? kHidden : shape.outputs; }
   // Where the gradient of layer l's weights starts in a part; its bias follows. Of the last layer: the part's length.

@@ -4,11 +4,14 @@
 namespace refdgs::cuda {
 
 template <class S, class Queue> void mlp(const Queue& q, const MlpCall<S>& call) {
-  q.run(blocks_for(call.points.count, kMlpPoints), MlpForward<S>{call});
+  const int64_t tiles = blocks_for(call.points.count, kMlpPoints);
+  if (call.tensor_cores) q.run(tiles, MlpForward<S, MmaProduct>{call});
+  else q.run(tiles, MlpForward<S, FmaProduct>{call});
 }
 
 template <class S, class Queue> void mlp_bwd(const Queue& q, const MlpCall<S>& call) {
-  q.run(call.blocks, MlpBackward<S>{call});
+  if (call.tensor_cores) q.run(call.blocks, MlpBackward<S, MmaProduct>{call});
+  else q.run(call.blocks, MlpBackward<S, FmaProduct>{call});
   q.run(blocks_for(call.numbers(), kWarp), SumParts<S>{call});
 }
 

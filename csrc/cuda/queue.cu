@@ -26,7 +26,7 @@ size_t DeviceQueue::sort_bytes(int64_t count) const {
   size_t bytes = 0;
   cub::DoubleBuffer<uint64_t> keys(nullptr, nullptr);
   cub::DoubleBuffer<int32_t> values(nullptr, nullptr);
-  check(cub::DeviceRadixSort::SortPairs(nullptr, bytes, keys, values, count), "size of sort");
+  check(cub::DeviceRadixSort::SortPairs(nullptr, bytes, keys, values, int32_t(count)), "size of sort");
   return bytes;
 }
 
@@ -35,7 +35,8 @@ SortedPairs DeviceQueue::sort(SortedPairs pairs, SortedPairs spare, int64_t coun
   cub::DoubleBuffer<uint64_t> keys(pairs.keys, spare.keys);
   cub::DoubleBuffer<int32_t> values(pairs.values, spare.values);
   const auto s = static_cast<cudaStream_t>(stream);
-  if (count) check(cub::DeviceRadixSort::SortPairs(scratch, bytes, keys, values, count, 0, bits, s), "sort");
+  if (count)
+    check(cub::DeviceRadixSort::SortPairs(scratch, bytes, keys, values, int32_t(count), 0, bits, s), "sort");
   return {keys.Current(), values.Current()};
 }
 

@@ -5,6 +5,7 @@
 #include <stdexcept>
 #include <string>
 #include <type_traits>
+#include <typeinfo>
 
 #include "grid.h"
 #include "queue.h"
@@ -23,6 +24,28 @@ struct DeviceThread {
   template <class V> __device__ V shuffle_xor(V v, int mask) { return __shfl_xor_sync(kAll, v, mask); }
   __device__ uint32_t ballot(bool p) { return __ballot_sync(kAll, p); }
   __device__ bool any(bool p) { return __any_sync(kAll, p); }
+  __device__ float tf32(float x) {
+#if __CUDA_ARCH__ >= 800
+    uint32_t bits;
+    asm("cvt.rna.tf32.f32 %0, %1;" : "=r"(bits) : "f"(x));
+    return __uint_as_float(bits);
+#else
+    return x;
+#endif
+  }
+  // c [16][8] += a [16][8] b [8][8], the warp's lanes together; who has what: PTX ISA, mma.m16n8k8 for .tf32.
+  __device__ void mma(float* c, const float* a, const float* b) {
+#if __CUDA_ARCH__ >= 800
+    asm volatile(
+        "mma.sync.aligned.m16n8k8.row.col.f32.tf32.tf32.f32 {%0, %1, %2, %3}, {%4, %5, %6, %7}, {%8, %9}, "
+        "{%0, %1, %2, %3};"
+        : "+f"(c[0]), "+f"(c[1]), "+f"(c[2]), "+f"(c[3])
+        : "r"(__float_as_uint(a[0])), "r"(__float_as_uint(a[1])), "r"(__float_as_uint(a[2])),
+          "r"(__float_as_uint(a[3])), "r"(__float_as_uint(b[0])), "r"(__float_as_uint(b[1])));
+#else
+    __trap();
+#endif
+  }
   __device__ void add_bits(int64_t* p, int64_t v) {
     atomicAdd(reinterpret_cast<unsigned long long*>(p), static_cast<unsigned long long>(v));
   }
@@ -44,13 +67,13 @@ template <class K> __global__ void __launch_bounds__(K::kThreads, Resident<K>::b
 }
 
 inline void check(cudaError_t status, const char* what) {
-  if (status != cudaSuccess) throw std::runtime_error(std::string("CUDA, ") + what + ": " + cudaGetErrorString(status));
+  if (status != cudaSuccess) throw std::runtime_error(std::string("CUDA: ") + cudaGetErrorString(status) + " at " + what);
 }
 
 template <class K> void DeviceQueue::run(int64_t blocks, const K& kernel) const {
   if (!blocks) return;
   enter<K><<<unsigned(blocks), K::kThreads, 0, static_cast<cudaStream_t>(stream)>>>(kernel);
-  check(cudaGetLastError(), "launch");
+  check(cudaGetLastError(), typeid(K).name());
 }
 
 }  // namespace refdgs::cuda

@@ -28,13 +28,16 @@ template <class S> struct Drawing {
   Box* boxes;              // [surfels]
   uint32_t* depths;        // [surfels] bits of the centre's depth as float
   int64_t* slot_start;     // [surfels + 1] first the number of tiles of each, then its sums; the last is their sum
-  int64_t count;           // entries, once it is known
+  int64_t count;           // entries that there is room for: as many as there are, or planned
+  int64_t* needed;         // [1] gets how many there are; null where `count` is that
+  float* misfit;           // [1] becomes 1 where they do not fit
   Entry* entries;          // [count] tile by tile, near to far; a surfel's slots are numbered row by row
   int32_t* tile_start;     // [tiles + 1]
   int32_t* patch_stop;     // [tiles][kPatches] entries from here on are hidden
   S* maps;                 // [planes][H][W], as on the CPU
   S* moments;              // [2][H][W]; only with distortion
 
+  REFDGS_HD int64_t slot(int64_t surfel) const { return slot_start[surfel] < count ? slot_start[surfel] : count; }
   REFDGS_HD int tiles() const { return tiles_x * tiles_y; }
   REFDGS_HD int width() const { return kGradHead + padded; }  // of a slot
 };

@@ -88,7 +88,8 @@ template <class S, class Queue> void bin_and_draw(const Queue& q, const Drawing<
   if (d.count) {
     q.run(blocks_for(d.surfels.count, EmitEntries<S>::kThreads),
           EmitEntries<S>{d, m.pairs.keys, m.pairs.values, m.owners});
-    const auto sorted = q.sort(m.pairs, m.spare, d.count, 32 + bits_of(d.tiles() - 1), m.scratch, bytes);
+    if (d.needed) q.run(blocks_for(d.count, PadEntries<S>::kThreads), PadEntries<S>{d, m.pairs.keys});
+    const auto sorted = q.sort(m.pairs, m.spare, d.count, 32 + bits_of(d.tiles()), m.scratch, bytes);
     q.run(blocks_for(d.count, FindTiles<S>::kThreads), FindTiles<S>{d, sorted.keys, sorted.values, m.owners});
   } else {
     q.zero(d.tile_start, size_t(d.tiles() + 1) * sizeof(int32_t));

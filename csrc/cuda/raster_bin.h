@@ -4,6 +4,7 @@
 //   project        reads 40 + 4 C, writes 4 stride (128 at 12 channels) + 20 a surfel: 29 MB, 7 us
 //   count, emit    read a record's head (80) twice; write 12 an entry: 28 MB, 7 us
 //   sort           (4 passes of 12 bytes in and out, 44 of 64 bits): 60 MB, 14 us; it is CUB's
+//   pad            8 an entry that is planned and not needed: 3 MB, 1 us; they are sorted too
 //   find_tiles     16 in, 8 out an entry: 14 MB, 3 us
 // Arithmetic is some 400 flop a surfel and 60 a tile: below 2 us. So all of it is bound by memory and launches.
 #pragma once
@@ -100,10 +101,28 @@ template <class S> struct EmitEntries {
     const int64_t i = int64_t(t.block()) * kThreads + t.thread();
     const int64_t start = i < d.surfels.count ? d.slot_start[i] : 0;
     walk_tiles(t, d, i, start, [&](int tile, int64_t surfel, int64_t slot) {
+      if (slot >= d.count) return;  // there is no room: PadEntries says so
       keys[slot] = uint64_t(uint32_t(tile)) << 32 | d.depths[surfel];
       slots[slot] = int32_t(slot);
       owners[slot] = int32_t(surfel);
     });
+  }
+};
+
+// What is planned and not needed is sorted behind the last tile.
+template <class S> struct PadEntries {
+  static constexpr int kThreads = 256;
+  using Shared = Nothing;
+  Drawing<S> d;
+  uint64_t* keys;
+
+  template <class Thread> REFDGS_KERNEL void operator()(Thread& t, Shared&) const {
+    const int64_t e = int64_t(t.block()) * kThreads + t.thread(), needed = d.slot_start[d.surfels.count];
+    if (e == 0) {
+      *d.needed = needed;
+      if (needed > d.count) *d.misfit = 1;
+    }
+    if (e >= needed && e < d.count) keys[e] = uint64_t(uint32_t(d.tiles())) << 32;
   }
 };
 
@@ -118,8 +137,8 @@ template <class S> struct FindTiles {
   template <class Thread> REFDGS_KERNEL void operator()(Thread& t, Shared&) const {
     const int64_t e = int64_t(t.block()) * kThreads + t.thread();
     if (e >= d.count) return;
-    d.entries[e] = {owners[slots[e]], slots[e]};
     const int tile = int(keys[e] >> 32), before = e ? int(keys[e - 1] >> 32) : -1;
+    if (tile < d.tiles()) d.entries[e] = {owners[slots[e]], slots[e]};
     for (int k = before + 1; k <= tile; ++k) d.tile_start[k] = int32_t(e);
     if (e + 1 == d.count)
       for (int k = tile + 1; k <= d.tiles(); ++k) d.tile_start[k] = int32_t(d.count);

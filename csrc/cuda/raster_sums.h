@@ -18,7 +18,7 @@ template <class S> struct SumSlots {
   template <class Thread> REFDGS_KERNEL void operator()(Thread& t, Shared&) const {
     const int64_t i = int64_t(t.block()) * (kThreads / kWarp) + t.warp();
     const bool there = i < d.surfels.count;
-    const int64_t begin = there ? d.slot_start[i] : 0, end = there ? d.slot_start[i + 1] : 0;
+    const int64_t begin = there ? d.slot(i) : 0, end = there ? d.slot(i + 1) : 0;
     const int c = t.lane(), width = d.width();
     S sum = 0;
     for (int64_t base = begin; base < end; base += kWarp) {

@@ -7,6 +7,24 @@ namespace refdgs::cuda {
 
 constexpr int kAgreementThreads = 256;  // pixels of a block, whose sums come to one part
 
+constexpr int kCoveredThreads = 256;    // pixels of a block that are counted together
+
+// The pixels where alpha is above `least`, in ascending order, then -1. What follows does nothing for those.
+template <class S> struct CoveredCall {
+  int width, height;
+  Image<S> alpha;
+  S least;
+  int64_t room;
+  int64_t* pixels;  // [room]
+  int64_t* counts;  // [blocks() + 1] scratch; the last becomes the number of pixels
+  int64_t* needed;  // [1] the same, for who planned the room
+  float* misfit;    // [1] becomes 1 where they do not fit
+  REFDGS_HD int64_t plane() const { return int64_t(width) * height; }
+  REFDGS_HD int64_t blocks() const { return (plane() + kCoveredThreads - 1) / kCoveredThreads; }
+};
+template <class S, class Queue>
+void covered_pixels(const Queue& q, const CoveredCall<S>& call, void* scratch, int64_t bytes);
+
 template <class S, class Queue>
 void shading_inputs(const Queue& q, const Covered<S>& at, const Inputs<S>& out);
 // Writes covered pixels only: elsewhere the gradients must be zero before.

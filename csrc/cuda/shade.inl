@@ -4,6 +4,14 @@
 namespace refdgs::cuda {
 
 template <class S, class Queue>
+void covered_pixels(const Queue& q, const CoveredCall<S>& call, void* scratch, int64_t bytes) {
+  q.run(call.blocks() + 1, CountCovered<S>{call});
+  q.scan(call.counts, call.blocks() + 1, scratch, size_t(bytes));
+  q.run(call.blocks(), WriteCovered<S>{call});
+  q.run(blocks_for(call.room, PadCovered<S>::kThreads), PadCovered<S>{call});
+}
+
+template <class S, class Queue>
 void shading_inputs(const Queue& q, const Covered<S>& at, const Inputs<S>& out) {
   q.run(blocks_for(at.count, GatherInputs<S>::kThreads), GatherInputs<S>{at, out});
 }
@@ -38,6 +46,7 @@ void normal_agreement(const Queue& q, const Agreement<S>& in, S* slopes, S* part
 }
 
 #define REFDGS_SHADE(S, Queue)                                                                               \
+  template void covered_pixels<S, Queue>(const Queue&, const CoveredCall<S>&, void*, int64_t);               \
   template void shading_inputs<S, Queue>(const Queue&, const Covered<S>&, const Inputs<S>&);                 \
   template void shading_inputs_bwd<S, Queue>(const Queue&, const Covered<S>&, const Inputs<const S>&,        \
                                              const MapGrads<S>&);                                            \

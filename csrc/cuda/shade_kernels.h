@@ -1,5 +1,6 @@
 // The epilogue of a pixel, a thread each: what the shader is given, the composite, and normals against depth. Bound by
 // memory; some 100 flop a pixel. At 800 x 800, 320,000 of the pixels covered, at 4.3 TB/s:
+//   covered pixels   4 + 4 bytes in a pixel, 8 out a covered one: 8 MB, 2 us
 //   gather           44 + 16 bytes in, 32 + 16 out a covered pixel: 35 MB, 8 us; back the same and 44 MB cleared: 19 us
 //   composite        20 in, 12 out a pixel, 36 in and 24 read and written a covered one: 40 MB, 9 us; back 14 us
 //   normal agreement 20 in, 36 out, then 24 + 8 in, 8 out a pixel: 61 MB, 14 us
@@ -23,10 +24,64 @@ template <class S> REFDGS_KERNEL S& row_of(const Rows<S>& rows, int64_t i, int c
 template <class S> REFDGS_KERNEL Vec3<S> ray_of(const View<S>& view, int64_t y, int64_t x) {  // camera, z = 1
   return {(S(x) + S(0.5) - view.cx) / view.fx, (S(y) + S(0.5) - view.cy) / view.fy, S(1)};
 }
-template <class S> REFDGS_KERNEL MirrorAt<S> mirror_of(const Covered<S>& at, int64_t y, int64_t x) {
+template <class S> REFDGS_KERNEL Mirror<S> mirror_of(const Covered<S>& at, int64_t y, int64_t x) {
   const Vec3<S> r = ray_of(at.view, y, x);
-  return {mul(at.view.world_from_cam, (1 / std::sqrt(dot(r, r))) * r), three_of(at.normal, y, x)};
+  return {rotate(at.view.world_from_cam, (1 / std::sqrt(dot(r, r))) * r), three_of(at.normal, y, x)};
 }
+
+// How many pixels of a block are covered; of the block past the last, none.
+template <class S> struct CountCovered {
+  static constexpr int kThreads = kCoveredThreads, kWarps = kThreads / kWarp;
+  struct Shared {
+    int counts[kWarps];
+  };
+  CoveredCall<S> f;
+
+  template <class Thread> REFDGS_KERNEL static bool is_covered(Thread& t, const CoveredCall<S>& f) {
+    const int64_t p = int64_t(t.block()) * kThreads + t.thread();
+    return p < f.plane() && pixel_of(f.alpha, p / f.width, p % f.width, 0) > f.least;
+  }
+  template <class Thread> REFDGS_KERNEL void operator()(Thread& t, Shared& s) const {
+    const uint32_t covered = t.ballot(is_covered(t, f));
+    if (t.lane() == 0) s.counts[t.warp()] = bit_count(covered);
+    t.sync();
+    if (t.thread()) return;
+    int64_t sum = 0;
+    for (int w = 0; w < kWarps; ++w) sum += s.counts[w];
+    f.counts[t.block()] = sum;
+  }
+};
+
+template <class S> struct WriteCovered {
+  static constexpr int kThreads = kCoveredThreads, kWarps = kThreads / kWarp;
+  using Shared = typename CountCovered<S>::Shared;
+  CoveredCall<S> f;
+
+  template <class Thread> REFDGS_KERNEL void operator()(Thread& t, Shared& s) const {
+    const bool mine = CountCovered<S>::is_covered(t, f);
+    const uint32_t covered = t.ballot(mine);
+    if (t.lane() == 0) s.counts[t.warp()] = bit_count(covered);
+    t.sync();
+    int64_t at = f.counts[t.block()] + bit_count(covered & ((1u << t.lane()) - 1));
+    for (int w = 0; w < t.warp(); ++w) at += s.counts[w];
+    if (mine && at < f.room) f.pixels[at] = int64_t(t.block()) * kThreads + t.thread();
+  }
+};
+
+template <class S> struct PadCovered {
+  static constexpr int kThreads = 256;
+  using Shared = Nothing;
+  CoveredCall<S> f;
+
+  template <class Thread> REFDGS_KERNEL void operator()(Thread& t, Shared&) const {
+    const int64_t i = int64_t(t.block()) * kThreads + t.thread(), needed = f.counts[f.blocks()];
+    if (i == 0) {
+      *f.needed = needed;
+      if (needed > f.room) *f.misfit = 1;
+    }
+    if (i >= needed && i < f.room) f.pixels[i] = -1;
+  }
+};
 
 template <class S> struct GatherInputs {
   static constexpr int kThreads = 256;
@@ -37,16 +92,25 @@ template <class S> struct GatherInputs {
   template <class Thread> REFDGS_KERNEL void operator()(Thread& t, Shared&) const {
     const int64_t i = int64_t(t.block()) * kThreads + t.thread();
     if (i >= at.count) return;
+    if (at.pixels[i] < 0) return nowhere(i);
     const int64_t y = at.pixels[i] / at.view.width, x = at.pixels[i] % at.view.width;
     const S whole = 1 / pixel_of(at.alpha, y, x, 0);
     for (int c = 0; c < 3; ++c) row_of(out.diffuse, i, c) = pixel_of(at.features, y, x, c) * whole;
     row_of(out.roughness, i, 0) = pixel_of(at.features, y, x, 3) * whole;
-    const MirrorAt<S> mirror = mirror_of(at, y, x);
+    const Mirror<S> mirror = mirror_of(at, y, x);
     const Vec3<S> to = mirror.out.unit;
     row_of(out.reflected, i, 0) = to.x, row_of(out.reflected, i, 1) = to.y, row_of(out.reflected, i, 2) = to.z;
     row_of(out.cosine, i, 0) = mirror.cosine();
     if (at.near.data)
       for (int c = 0; c < 4; ++c) row_of(out.near, i, c) = pixel_of(at.near, y, x, c);
+  }
+
+  // Numbers that harm nothing, where there is no pixel.
+  REFDGS_KERNEL void nowhere(int64_t i) const {
+    for (int c = 0; c < 3; ++c) row_of(out.diffuse, i, c) = 0, row_of(out.reflected, i, c) = S(c == 2);
+    row_of(out.roughness, i, 0) = 1, row_of(out.cosine, i, 0) = 0;
+    if (at.near.data)
+      for (int c = 0; c < 4; ++c) row_of(out.near, i, c) = 0;
   }
 };
 
@@ -61,6 +125,7 @@ template <class S> struct GatherInputsBwd {
     const int64_t i = int64_t(t.block()) * kThreads + t.thread();
     if (i >= at.count) return;
     const int64_t plane = int64_t(at.view.width) * at.view.height, p = at.pixels[i];
+    if (p < 0) return;
     const int64_t y = p / at.view.width, x = p % at.view.width;
     const S whole = 1 / pixel_of(at.alpha, y, x, 0);
     S v_alpha = 0;
@@ -71,7 +136,7 @@ template <class S> struct GatherInputsBwd {
     }
     grads.alpha[p] = v_alpha;
     const Vec3<S> v_out{row_of(v.reflected, i, 0), row_of(v.reflected, i, 1), row_of(v.reflected, i, 2)};
-    const Vec3<S> n = mirror_of(at, y, x).backward(v_out, row_of(v.cosine, i, 0));
+    const Vec3<S> n = mirror_of(at, y, x).vjp(v_out, row_of(v.cosine, i, 0));
     grads.normal[p] = n.x, grads.normal[plane + p] = n.y, grads.normal[2 * plane + p] = n.z;
     if (at.near.data)
       for (int c = 0; c < 4; ++c) grads.near[c * plane + p] = row_of(v.near, i, c);
@@ -107,9 +172,10 @@ template <class S> struct ComposeObject {
     const int64_t i = int64_t(t.block()) * kThreads + t.thread();
     if (i >= in.count) return;
     const int64_t plane = int64_t(in.width) * in.height, p = in.pixels[i];
+    if (p < 0) return;
     const S a = pixel_of(in.object_alpha, p / in.width, p % in.width, 0);
     for (int c = 0; c < 3; ++c)
-      image[c * plane + p] += a * srgb_curve(clipped_linear(row_of(in.diffuse, i, c) + row_of(in.radiance, i, c)));
+      image[c * plane + p] += a * Shown<S>(row_of(in.diffuse, i, c) + row_of(in.radiance, i, c)).color;
   }
 };
 
@@ -142,12 +208,17 @@ template <class S> struct ComposeObjectBwd {
     const int64_t i = int64_t(t.block()) * kThreads + t.thread();
     if (i >= in.count) return;
     const int64_t p = in.pixels[i], y = p / in.width, x = p % in.width;
+    if (p < 0) {
+      for (int c = 0; c < 3; ++c) v_linear[c * in.count + i] = 0;
+      return;
+    }
     const S a = pixel_of(in.object_alpha, y, x, 0);
     S v_a = 0;
     for (int c = 0; c < 3; ++c) {
-      const S linear = row_of(in.diffuse, i, c) + row_of(in.radiance, i, c), v = pixel_of(v_image, y, x, c);
-      v_a += v * srgb_curve(clipped_linear(linear));
-      v_linear[c * in.count + i] = srgb_vjp(linear, a * v);
+      const Shown<S> shown(row_of(in.diffuse, i, c) + row_of(in.radiance, i, c));
+      const S v = pixel_of(v_image, y, x, c);
+      v_a += v * shown.color;
+      v_linear[c * in.count + i] = shown.vjp(a * v);
     }
     v_object_alpha[p] = v_a;
   }
@@ -190,7 +261,7 @@ template <class S> struct AgreeNormals {
     if (!border && weight != 0) {
       const Vec3<S> above = point(y - 1, x), below = point(y + 1, x), left = point(y, x - 1), next = point(y, x + 1);
       const S here = point(y, x).z;
-      if (lies_on_a_surface(above.z, below.z, left.z, next.z, here, in.view.fx, in.edge)) {
+      if (bend_of<S>(above.z, below.z, left.z, next.z, here) * in.view.fx < in.edge * here) {
         const Vec3<S> splatted = three_of(in.normal, y, x);
         const NormalPair<S> pair(below - above, next - left, splatted, in.view.world_from_cam, -in.scale * weight);
         sum = weight * (1 - pair.agreement);

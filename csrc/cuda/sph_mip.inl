@@ -4,7 +4,7 @@
 namespace refdgs::cuda {
 
 template <class S, class Queue>
-void sph_mip(const Queue& q, const SphMipQuery<S>& query, const MipMap<S>& mips, S* out) {
+void sph_mip(const Queue& q, const LimitedQuery<S>& query, const MipMap<S>& mips, S* out) {
   constexpr int side = AverageLevels<S>::kSide, steps = 5;  // 32 texels become 1 in 5
   for (int first = 0; first + 1 < mips.levels; first += steps) {
     const int last = first + steps < mips.levels ? first + steps : mips.levels - 1;
@@ -15,7 +15,7 @@ void sph_mip(const Queue& q, const SphMipQuery<S>& query, const MipMap<S>& mips,
 }
 
 template <class S, class Queue>
-void sph_mip_bwd(const Queue& q, const SphMipQuery<S>& query, const S* v_out, const SphMipGrads<S>& grads,
+void sph_mip_bwd(const Queue& q, const LimitedQuery<S>& query, const S* v_out, const SphMipGrads<S>& grads,
                  const SphMipWork<S>& work) {
   const auto& map = query.map;
   if (work.bits) {
@@ -25,7 +25,7 @@ void sph_mip_bwd(const Queue& q, const SphMipQuery<S>& query, const S* v_out, co
     q.zero(work.scale, sizeof(uint32_t));
     const int64_t numbers = query.count * kMipChannels;
     q.run(blocks_for(numbers, FindScale<S>::kThreads * FindScale<S>::kEach),
-          FindScale<S>{v_out, numbers, work.scale});
+          FindScale<S>{v_out, query, work.scale});
   }
   q.run(blocks_for(query.count, LookUpBwd<S>::kThreads), LookUpBwd<S>{query, v_out, grads, work});
   if (work.bits)
@@ -34,8 +34,8 @@ void sph_mip_bwd(const Queue& q, const SphMipQuery<S>& query, const S* v_out, co
 }
 
 #define REFDGS_SPH_MIP(S, Queue)                                                                            \
-  template void sph_mip<S, Queue>(const Queue&, const SphMipQuery<S>&, const MipMap<S>&, S*);               \
-  template void sph_mip_bwd<S, Queue>(const Queue&, const SphMipQuery<S>&, const S*, const SphMipGrads<S>&, \
+  template void sph_mip<S, Queue>(const Queue&, const LimitedQuery<S>&, const MipMap<S>&, S*);               \
+  template void sph_mip_bwd<S, Queue>(const Queue&, const LimitedQuery<S>&, const S*, const SphMipGrads<S>&, \
                                       const SphMipWork<S>&);
 
 }  // namespace refdgs::cuda

@@ -97,12 +97,12 @@ template <class S> struct MipTexels {
 template <class S> struct LookUp {
   static constexpr int kThreads = 256;
   using Shared = Nothing;
-  SphMipQuery<S> q;
+  LimitedQuery<S> q;
   S* out;
 
   template <class Thread> REFDGS_KERNEL void operator()(Thread& t, Shared&) const {
     const int64_t i = int64_t(t.block()) * kThreads + t.thread();
-    if (i >= q.count) return;
+    if (i >= q.last()) return;
     const MipPlace<S> p = mip_place(direction_of(q, i), q.roughness[i * q.roughness_step], q.map.levels, q.min_level);
     q.coordinates[i] = p.u, q.coordinates[q.count + i] = p.v, q.coordinates[2 * q.count + i] = p.level;
     const MipPair<S> pair(p, q.map.height, q.map.width, q.map.levels);
@@ -120,10 +120,11 @@ template <class S> struct FindScale {
   static constexpr int kThreads = 256, kEach = 8;
   using Shared = Nothing;
   const S* v_out;
-  int64_t numbers;
+  LimitedQuery<S> q;
   uint32_t* scale;
 
   template <class Thread> REFDGS_KERNEL void operator()(Thread& t, Shared&) const {
+    const int64_t numbers = q.last() * kMipChannels;
     uint32_t greatest = 0;
     for (int k = 0; k < kEach; ++k) {
       const int64_t i = (int64_t(t.block()) * kEach + k) * kThreads + t.thread();
@@ -154,20 +155,21 @@ template <class S> REFDGS_KERNEL S unit_of(const uint32_t* scale, int64_t count)
 template <class S> struct LookUpBwd {
   static constexpr int kThreads = 256;
   using Shared = Nothing;
-  SphMipQuery<S> q;
+  LimitedQuery<S> q;
   const S* v_out;
   SphMipGrads<S> grads;
   SphMipWork<S> work;
 
   template <class Thread> REFDGS_KERNEL void operator()(Thread& t, Shared&) const {
     const int64_t i = int64_t(t.block()) * kThreads + t.thread();
-    if (i >= q.count) return;
+    if (i >= q.last()) return;
     const MipPlace<S> p{q.coordinates[i], q.coordinates[q.count + i], q.coordinates[2 * q.count + i]};
     const MipPair<S> pair(p, q.map.height, q.map.width, q.map.levels);
     S g[kMipChannels];
     copy_quads<kMipChannels>(g, v_out + i * kMipChannels);
     S by_u = 0, by_v = 0, by_level = 0;
-    const S unit = work.bits ? unit_of<S>(work.scale, q.count) : S(0);
+    const bool adds = work.bits && (g[0] != 0 || g[1] != 0 || g[2] != 0 || g[3] != 0);  // a NaN is not 0
+    const S unit = adds ? unit_of<S>(work.scale, q.count) : S(0);
     for (int k = 0; k < 2; ++k) {
       const MipTexels<S> texels(q.map.level[pair.level[k]], pair.cell[k]);
       const S share = k ? pair.blend : 1 - pair.blend;
@@ -177,7 +179,7 @@ template <class S> struct LookUpBwd {
         by_v += g[c] * share * height * texels.by_y(c);
         by_level += k ? g[c] * texels.value(c) : -(g[c] * texels.value(c));
       }
-      if (work.bits && share != 0) scatter(t, pair.level[k], pair.cell[k], share, g, unit);
+      if (adds && share != 0) scatter(t, pair.level[k], pair.cell[k], share, g, unit);
     }
     const Vec3<S> d = mip_direction_vjp(direction_of(q, i), by_u, by_v, S(kPoleSine));
     grads.directions[3 * i] = d.x, grads.directions[3 * i + 1] = d.y, grads.directions[3 * i + 2] = d.z;

@@ -69,15 +69,16 @@ template <class S> REFDGS_HD S nearest_in(S lo, S hi, S to) { return least_of(mo
 
 // Whether the surfel's contour or its low-pass circle reaches pixel centres from (x, y) to (x + wide, y + high);
 // now and then true for nothing. The least of a convex quadratic over a rectangle lies at its own middle or on
-// a side that faces it.
+// a side that faces it. Products and sums are joined by hand: a compiler that joins them as it likes could answer
+// otherwise in the kernel that counts than in the one that fills what was counted.
 template <class S> REFDGS_HD bool reaches(const S* r, S x, S y, S wide, S high) {
   const S* k = r + kContour;
   const S x0 = x - k[0], y0 = y - k[1], x1 = x0 + wide, y1 = y0 + high;
   const S xa = nearest_in(x0, x1, S(0)), ya = nearest_in(y0, y1, k[5] * xa);
   const S yb = nearest_in(y0, y1, S(0)), xb = nearest_in(x0, x1, k[6] * yb);
-  const S a = xa * (k[2] * xa + k[3] * ya) + k[4] * ya * ya, b = xb * (k[2] * xb + k[3] * yb) + k[4] * yb * yb;
+  const auto at = [&](S px, S py) { return std::fma(px, std::fma(k[2], px, k[3] * py), k[4] * py * py); };
   const S cx = nearest_in(x - r[0], x - r[0] + wide, S(0)), cy = nearest_in(y - r[1], y - r[1] + high, S(0));
-  return least_of(a, b) < S(1.02) || cx * cx + cy * cy < S(0.501) * r[10];
+  return least_of(at(xa, ya), at(xb, yb)) < S(1.02) || std::fma(cx, cx, cy * cy) < S(0.501) * r[10];
 }
 
 }  // namespace refdgs

@@ -2,6 +2,7 @@
 #pragma once
 #include "image_loss.h"
 #include "mlp.h"
+#include "photo.h"
 #include "raster.h"
 #include "shade.h"
 #include "sph_mip.h"
@@ -17,6 +18,7 @@ struct Kernels {
   SphMipKernels<float> sph_mip;
   MlpKernels<float> mlp;
   ShadeKernels<float> shade;
+  PhotoKernels<float> photo;
 };
 
 // REFDGS_ISA=baseline|avx2|avx512|avx512bf16 caps the choice, for tests.
@@ -31,5 +33,6 @@ void loss_band_double(const LossFrame<double>& frame, int channel, int band, dou
 SphMipKernels<double> sph_mip_kernels_double();
 MlpKernels<double> mlp_kernels_double();
 const ShadeKernels<double>& shade_kernels_double();
+const PhotoKernels<double>& photo_kernels_double();
 
 }  // namespace refdgs

@@ -30,14 +30,16 @@ template <class S> void image_loss(LossFrame<S> frame, int threads, double* sums
   const LossKernel<S> work = band_kernel(S(0));
   const int bands = (frame.height + kLossBand - 1) / kLossBand, tasks = bands * frame.channels;
   std::vector<std::vector<S>> scratch(size_t(std::max(1, threads)));
-  std::vector<double> parts(size_t(2 * tasks), 0.0);
+  std::vector<double> parts(size_t(kLossSums * tasks), 0.0);
   parallel_for_dynamic(tasks, threads, [&](int64_t task, int thread) {
     auto& mine = scratch[size_t(thread)];
     if (mine.empty()) mine.assign(size_t(loss_scratch(frame.width)), S(0));
-    work(frame, int(task / bands), int(task % bands), mine.data(), parts.data() + 2 * task);
+    work(frame, int(task / bands), int(task % bands), mine.data(), parts.data() + kLossSums * task);
   });
-  sums[0] = sums[1] = 0;
-  for (int task = 0; task < tasks; ++task) sums[0] += parts[2 * task], sums[1] += parts[2 * task + 1];
+  for (int k = 0; k < kLossSums; ++k) {
+    sums[k] = 0;
+    for (int task = 0; task < tasks; ++task) sums[k] += parts[kLossSums * task + k];
+  }
 }
 
 template void image_loss<float>(LossFrame<float>, int, double*);

@@ -27,11 +27,12 @@ template <class S> struct LossFrame {
 static inline int64_t loss_row(int width) { return (width + 15) / 16 * 16 + 2 * kLossPad; }
 static inline int64_t loss_scratch(int width) { return loss_row(width) * (5 * kLossTaps + 8); }
 
-// One channel of one band of rows; sums: weighted |x - y| and weighted SSIM.
+// One channel of one band of rows; sums, all weighted: |x - y|, SSIM, (x - y)^2.
+constexpr int kLossSums = 3;
 template <class S>
 using LossKernel = void (*)(const LossFrame<S>&, int channel, int band, S* scratch, double* sums);
 
-// Fills frame.taps; returns the two weighted sums over the image. Sums do not depend on the threads.
+// Fills frame.taps; returns the weighted sums over the image. They do not depend on the threads.
 template <class S> void image_loss(LossFrame<S> frame, int threads, double* sums);
 
 }  // namespace refdgs

@@ -94,16 +94,26 @@ typename Simd<S>::vf loss_compare(const LossFrame<S>& f, const LossRows<S>& rows
   return total;
 }
 
-// The gradient of one row; returns the row's weighted sum of |x - y|.
+template <class S> double loss_lanes(typename Simd<S>::vf v) {
+  double sum = 0;
+  for (int i = 0; i < LANES; ++i) sum += double(v[i]);
+  return sum;
+}
+
+// The gradient of one row; adds the row's sums of |x - y| and (x - y)^2.
 template <class S>
-typename Simd<S>::vf loss_finish_row(const LossFrame<S>& f, const LossRows<S>& rows, int row, bool gradient) {
+void loss_finish_row(const LossFrame<S>& f, const LossRows<S>& rows, int row, double* sums) {
   using vf = typename Simd<S>::vf;
   const S *x = rows.at(rows.x, row), *y = rows.at(rows.y, row);
-  vf total{};
-  if (!gradient) {
-    for (int i = 0; i < f.width; i += LANES) total += load(rows.weight + i) * abs_of(load(x + i) - load(y + i));
-    return total;
+  vf absolute{}, squared{};
+  for (int i = 0; i < f.width; i += LANES) {
+    const vf d = load(x + i) - load(y + i), w = load(rows.weight + i);
+    absolute += w * abs_of(d);
+    squared += w * d * d;
   }
+  sums[0] += loss_lanes<S>(absolute);
+  sums[2] += loss_lanes<S>(squared);
+  if (!f.gradient) return;
   for (int q = 0; q < 3; ++q) {
     const S* ring = rows.slopes + q * kLossTaps * rows.stride;
     const S* p[kLossTaps];
@@ -122,16 +132,8 @@ typename Simd<S>::vf loss_finish_row(const LossFrame<S>& f, const LossRows<S>& r
     for (int q = 0; q < 3; ++q) g[q] = loss_blur_across(f, rows.blurred + q * rows.stride + i);
     const vf vx = load(x + i), vy = load(y + i), d = vx - vy, w = load(rows.weight + i);
     const vf sign = d > 0 ? all(S(1)) : d < 0 ? all(S(-1)) : vf{};
-    total += w * abs_of(d);
     store(rows.line + i, f.l1_scale * (w * sign) + f.ssim_scale * (g[0] + 2 * vx * g[1] + vy * g[2]));
   }
-  return total;
-}
-
-template <class S> double loss_lanes(typename Simd<S>::vf v) {
-  double sum = 0;
-  for (int i = 0; i < LANES; ++i) sum += double(v[i]);
-  return sum;
 }
 
 template <class S> void loss_band(const LossFrame<S>& f, int channel, int band, S* scratch, double* sums) {
@@ -158,7 +160,7 @@ template <class S> void loss_band(const LossFrame<S>& f, int channel, int band, 
     const int done = row - around;
     if (done < begin) continue;
     loss_read_weight(f, done, rows.weight);
-    sums[0] += loss_lanes<S>(loss_finish_row(f, rows, done, f.gradient != nullptr));
+    loss_finish_row(f, rows, done, sums);
     if (f.gradient) __builtin_memcpy(f.gradient + (plane + done) * f.width, rows.line, bytes);
   }
 }

@@ -18,10 +18,12 @@ namespace {
 #include "mlp.inl"
 #include "rasterize.inl"
 #include "shade.inl"
+#include "photo.inl"
 #include "sph_mip.inl"
 }  // namespace
 extern const Kernels kernels;
 const Kernels kernels = {"avx2", LANES, raster_kernels<float>, loss_band<float>, sph_mip_kernels<float>(),
-                         mlp_kernels<float>(), shade_kernels<float>()};
+                         mlp_kernels<float>(), shade_kernels<float>(),
+                         photo_kernels<float>()};
 }  // namespace avx2
 }  // namespace refdgs

@@ -18,11 +18,13 @@ namespace {
 #include "mlp.inl"
 #include "rasterize.inl"
 #include "shade.inl"
+#include "photo.inl"
 #include "sph_mip.inl"
 }  // namespace
 extern const Kernels kernels;
 const Kernels kernels = {"baseline", LANES, raster_kernels<float>, loss_band<float>, sph_mip_kernels<float>(),
-                         mlp_kernels<float>(), shade_kernels<float>()};
+                         mlp_kernels<float>(), shade_kernels<float>(),
+                         photo_kernels<float>()};
 }  // namespace baseline
 RasterKernels<double> raster_kernels_double(int channels, Extra extra) {
   return baseline::raster_kernels<double>(channels, extra);
@@ -34,6 +36,10 @@ SphMipKernels<double> sph_mip_kernels_double() { return baseline::sph_mip_kernel
 MlpKernels<double> mlp_kernels_double() { return baseline::mlp_kernels<double>(); }
 const ShadeKernels<double>& shade_kernels_double() {
   static const ShadeKernels<double> kernels = baseline::shade_kernels<double>();
+  return kernels;
+}
+const PhotoKernels<double>& photo_kernels_double() {
+  static const PhotoKernels<double> kernels = baseline::photo_kernels<double>();
   return kernels;
 }
 }  // namespace refdgs

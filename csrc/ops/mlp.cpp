@@ -70,16 +70,15 @@ template <class S> void pack(const MlpParameters<const S>& net, MlpFrame<S>& fra
 }
 
 template <class S>
-MlpFrame<S> make_frame(const MlpShape& shape, const MlpPoints<S>& points, const MlpParameters<const S>& net,
-                       Buffer<S>& memory) {
+MlpFrame<S> make_frame(const MlpShape& shape, const MlpPoints& points, const MlpTables<const S>& x,
+                       const MlpParameters<const S>& net, Buffer<S>& memory) {
   MlpFrame<S> frame{};
   frame.shape = shape;
   frame.has_exp = points.has_exp;
   frame.cap = S(points.cap);
   frame.largest = std::exp(frame.cap);
-  frame.x = points.x;
-  frame.x_row = points.x_row;
-  frame.x_column = points.x_column;
+  frame.x = x;
+  frame.kept = points.kept;
   pack(net, frame, memory);
   return frame;
 }
@@ -96,10 +95,15 @@ template <class S, class F> void each_chunk(int64_t count, int threads, F&& body
 
 }  // namespace
 
+int64_t mlp_kept(const MlpShape& shape, int64_t count, bool half) {
+  return half && half_products() ? (count + kMlpBlock - 1) / kMlpBlock * shape.hidden_layers * kMlpPairs : 0;
+}
+
 template <class S>
-void mlp(const MlpShape& shape, const MlpPoints<S>& points, const MlpParameters<const S>& net, int threads, S* out) {
+void mlp(const MlpShape& shape, const MlpPoints& points, const MlpTables<const S>& x,
+         const MlpParameters<const S>& net, int threads, S* out) {
   Buffer<S> memory;
-  MlpFrame<S> frame = make_frame(shape, points, net, memory);
+  MlpFrame<S> frame = make_frame(shape, points, x, net, memory);
   frame.out = out;
   const auto run = point_kernels(S(0), points.half).forward;
   each_chunk<S>(points.count, threads,
@@ -107,10 +111,11 @@ void mlp(const MlpShape& shape, const MlpPoints<S>& points, const MlpParameters<
 }
 
 template <class S>
-void mlp_bwd(const MlpShape& shape, const MlpPoints<S>& points, const MlpParameters<const S>& net, int threads,
-             S* out, const S* v_out, S* v_x, const MlpParameters<S>& v_net) {
+void mlp_bwd(const MlpShape& shape, const MlpPoints& points, const MlpTables<const S>& x,
+             const MlpParameters<const S>& net, int threads, S* out, const S* v_out, const MlpTables<S>& v_x,
+             const MlpParameters<S>& v_net) {
   Buffer<S> memory, sums;
-  MlpFrame<S> frame = make_frame(shape, points, net, memory);
+  MlpFrame<S> frame = make_frame(shape, points, x, net, memory);
   frame.out = out, frame.v_out = v_out, frame.v_x = v_x;
   const int64_t chunks = std::max<int64_t>(1, (points.count + kChunk - 1) / kChunk);
   const int64_t size = place_grads<S>(shape, nullptr, nullptr);
@@ -138,12 +143,13 @@ void mlp_bwd(const MlpShape& shape, const MlpPoints<S>& points, const MlpParamet
   }
 }
 
-template void mlp<float>(const MlpShape&, const MlpPoints<float>&, const MlpParameters<const float>&, int, float*);
-template void mlp<double>(const MlpShape&, const MlpPoints<double>&, const MlpParameters<const double>&, int,
-                          double*);
-template void mlp_bwd<float>(const MlpShape&, const MlpPoints<float>&, const MlpParameters<const float>&, int,
-                             float*, const float*, float*, const MlpParameters<float>&);
-template void mlp_bwd<double>(const MlpShape&, const MlpPoints<double>&, const MlpParameters<const double>&, int,
-                              double*, const double*, double*, const MlpParameters<double>&);
+#define REFDGS_MLP(S)                                                                                              \
+  template void mlp<S>(const MlpShape&, const MlpPoints&, const MlpTables<const S>&, const MlpParameters<const S>&, \
+                       int, S*);                                                                                   \
+  template void mlp_bwd<S>(const MlpShape&, const MlpPoints&, const MlpTables<const S>&,                           \
+                           const MlpParameters<const S>&, int, S*, const S*, const MlpTables<S>&,                  \
+                           const MlpParameters<S>&);
+REFDGS_MLP(float)
+REFDGS_MLP(double)
 
 }  // namespace refdgs

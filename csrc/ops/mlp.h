@@ -24,16 +24,28 @@ template <class S> struct MlpLayer {
   S* bias;                    // [stride]
 };
 
+// Points' inputs, or their gradients, side by side in some tables: element (i, c) at i * row + c * column.
+constexpr int kMlpTables = 4;
+template <class S> struct MlpTable {
+  S* data;
+  int64_t row, column;
+  int width;
+};
+template <class S> struct MlpTables {
+  int count;
+  MlpTable<S> of[kMlpTables];
+};
+
 template <class S> struct MlpFrame {
   MlpShape shape;
   MlpLayer<S> layer[kMlpHiddenLayers + 1];
   bool has_exp;         // the output is exp(min(y, cap))
   S cap, largest;       // and exp(cap)
-  const S* x;           // element (i, c) at i * x_row + c * x_column
-  int64_t x_row, x_column;
+  MlpTables<const S> x;
   S* out;               // [points][outputs]
   const S* v_out;       // [points][outputs]
-  S* v_x;               // [points][inputs], may be null
+  MlpTables<S> v_x;     // none: not wanted
+  uint32_t* kept;       // [blocks][hidden layers][kMlpPairs] hidden values of half products, may be null
 };
 
 // Scalars of a thread's working memory, which must be aligned to 64 bytes: of the exact kernels, and of
@@ -59,20 +71,24 @@ template <class S> struct MlpParameters {
   S *weights[kMlpHiddenLayers + 1], *bias[kMlpHiddenLayers + 1];
 };
 
-template <class S> struct MlpPoints {
+struct MlpPoints {
   int64_t count;
-  const S* x;
-  int64_t x_row, x_column;
   bool has_exp;
   double cap;
   bool half;
+  uint32_t* kept;  // hidden values from forward to backward: mlp_kept() numbers, or null to compute them again
 };
+
+// Numbers that `kept` needs; 0 where hidden values are not kept: with float products.
+int64_t mlp_kept(const MlpShape& shape, int64_t count, bool half);
 
 // With points.half, float products are of bfloat16 numbers where the CPU has such (`half_products`).
 template <class S>
-void mlp(const MlpShape& shape, const MlpPoints<S>& points, const MlpParameters<const S>& net, int threads, S* out);
+void mlp(const MlpShape& shape, const MlpPoints& points, const MlpTables<const S>& x,
+         const MlpParameters<const S>& net, int threads, S* out);
 template <class S>
-void mlp_bwd(const MlpShape& shape, const MlpPoints<S>& points, const MlpParameters<const S>& net, int threads,
-             S* out, const S* v_out, S* v_x, const MlpParameters<S>& v_net);
+void mlp_bwd(const MlpShape& shape, const MlpPoints& points, const MlpTables<const S>& x,
+             const MlpParameters<const S>& net, int threads, S* out, const S* v_out, const MlpTables<S>& v_x,
+             const MlpParameters<S>& v_net);
 
 }  // namespace refdgs

@@ -52,15 +52,19 @@ template <class S> struct MlpBlock {
 };
 
 template <class S> void mlp_read_inputs(const MlpFrame<S>& f, int64_t begin, const MlpBlock<S>& block) {
-  const int padded = f.layer[0].input_stride, inputs = f.shape.inputs;
+  const int padded = f.layer[0].input_stride;
   __builtin_memset(block.x, 0, size_t(block.rows) * padded * sizeof(S));
-  for (int i = 0; i < block.points; ++i) {
-    const S* from = f.x + (begin + i) * f.x_row;
-    S* to = block.x + i * padded;
-    if (f.x_column == 1)
-      for (int c = 0; c < inputs; ++c) to[c] = from[c];
-    else
-      for (int c = 0; c < inputs; ++c) to[c] = from[c * f.x_column];
+  S* first = block.x;
+  for (int k = 0; k < f.x.count; first += f.x.of[k++].width) {
+    const MlpTable<const S>& table = f.x.of[k];
+    const S* from = table.data + begin * table.row;
+    for (int i = 0; i < block.points; ++i, from += table.row) {
+      S* to = first + i * padded;
+      if (table.width == 4 && table.column == 1)
+        __builtin_memcpy(to, from, 4 * sizeof(S));
+      else
+        for (int c = 0; c < table.width; ++c) to[c] = from[c * table.column];
+    }
   }
 }
 
@@ -148,8 +152,13 @@ void mlp_weights_vjp(const MlpLayer<S>& layer, int rows, const S* g, const S* in
 
 template <class S> void mlp_write_input_grads(const MlpFrame<S>& f, int64_t begin, const MlpBlock<S>& block) {
   const int stride = f.layer[0].input_stride;
-  for (int i = 0; i < block.points; ++i)
-    for (int c = 0; c < f.shape.inputs; ++c) f.v_x[(begin + i) * f.shape.inputs + c] = block.v_x[i * stride + c];
+  const S* first = block.v_x;
+  for (int k = 0; k < f.v_x.count; first += f.v_x.of[k++].width) {
+    const MlpTable<S>& table = f.v_x.of[k];
+    S* to = table.data + begin * table.row;
+    for (int i = 0; i < block.points; ++i, to += table.row)
+      for (int c = 0; c < table.width; ++c) to[c * table.column] = first[i * stride + c];
+  }
 }
 
 template <class S> void mlp_inputs_vjp(const MlpFrame<S>& f, int64_t begin, const MlpBlock<S>& block, const S* g) {
@@ -184,7 +193,7 @@ void mlp_backward(const MlpFrame<S>& f, int64_t begin, int64_t end, S* scratch, 
       g = g_in;
     }
     mlp_weights_vjp<S, 1>(f.layer[0], block.rows, g, block.x, grads.weights[0], grads.bias[0]);
-    if (f.v_x) mlp_inputs_vjp(f, begin, block, g);
+    if (f.v_x.count) mlp_inputs_vjp(f, begin, block, g);
   }
 }
 

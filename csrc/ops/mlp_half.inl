@@ -68,11 +68,13 @@ struct HalfBlock {
   uint32_t *to_outputs[kMlpHiddenLayers], *to_inputs[kMlpHiddenLayers];     // weights, in pairs along the sum
   uint32_t *g_rows[2], *g_pairs, *x_pairs;
 
-  HalfBlock(int64_t begin, int64_t end, float* scratch) : exact(begin, end, scratch) {
+  HalfBlock(const MlpFrame<float>& f, int64_t begin, int64_t end, float* scratch) : exact(begin, end, scratch) {
     uint32_t* next = reinterpret_cast<uint32_t*>(scratch + kMlpScratch);
     const auto take = [&](uint32_t*& part) { part = next, next += kMlpPairs; };
     for (int l = 0; l < kMlpHiddenLayers; ++l) take(rows[l]), take(pairs[l]), take(to_outputs[l]), take(to_inputs[l]);
     take(g_rows[0]), take(g_rows[1]), take(g_pairs), take(x_pairs);
+    for (int l = 0; f.kept && l < f.shape.hidden_layers; ++l)
+      rows[l] = f.kept + (begin / kMlpBlock * f.shape.hidden_layers + l) * kMlpPairs;
   }
 };
 
@@ -121,9 +123,9 @@ inline void half_pack_forward(const MlpFrame<float>& f, const HalfBlock& block) 
 }
 
 void half_forward(const MlpFrame<float>& f, int64_t begin, int64_t end, float* scratch) {
-  half_pack_forward(f, HalfBlock(begin, end, scratch));
+  half_pack_forward(f, HalfBlock(f, begin, end, scratch));
   for (; begin < end; begin += kMlpBlock) {
-    const HalfBlock block(begin, end, scratch);
+    const HalfBlock block(f, begin, end, scratch);
     half_hidden(f, begin, block, true);
     mlp_write_outputs(f, begin, block.exact);
   }
@@ -186,7 +188,7 @@ void half_first_vjp(const MlpFrame<float>& f, int64_t begin, const HalfBlock& bl
   const int rows = block.exact.rows;
   half_pack(block.exact.x, rows, V * 16, block.x_pairs);
   half_weights_vjp<8, V>(kHidden, rows, block.g_pairs, block.x_pairs, v_weights);
-  if (!f.v_x) return;
+  if (!f.v_x.count) return;
   half_product<8, V>(
       rows, kHidden / 2, {g_rows, 32, 1}, block.to_inputs[0], [](int, int) { return vf32{}; },
       [&](int row, vf32(*y)[V]) {
@@ -198,13 +200,16 @@ void half_first_vjp(const MlpFrame<float>& f, int64_t begin, const HalfBlock& bl
 void half_backward(const MlpFrame<float>& f, int64_t begin, int64_t end, float* scratch,
                    const MlpGrads<float>& grads) {
   const int top = f.shape.hidden_layers;
-  half_pack_forward(f, HalfBlock(begin, end, scratch));
-  for (int l = 0; l < top; ++l)
-    half_pack(f.layer[l].weights, kHidden, f.layer[l].input_stride, HalfBlock(begin, end, scratch).to_inputs[l]);
+  const HalfBlock any(f, begin, end, scratch);
+  if (!f.kept) half_pack_forward(f, any);
+  for (int l = 0; l < top; ++l) half_pack(f.layer[l].weights, kHidden, f.layer[l].input_stride, any.to_inputs[l]);
   for (; begin < end; begin += kMlpBlock) {
-    const HalfBlock block(begin, end, scratch);
+    const HalfBlock block(f, begin, end, scratch);
     const int rows = block.exact.rows;
-    half_hidden(f, begin, block, false);
+    if (f.kept)
+      mlp_read_inputs(f, begin, block.exact);
+    else
+      half_hidden(f, begin, block, false);
     for (int l = 0; l < top; ++l) half_pair_rows(block.rows[l], rows, block.pairs[l]);
     mlp_end_vjp(f, begin, block.exact);
     half_last_vjp(f, block, grads);

@@ -31,6 +31,7 @@ template <class S> struct RasterFrame {
   int64_t* tile_stop;         // [tiles] entries from here on are hidden
   uint64_t* activity;         // [slots] which blocks of the tile the entry touched
   S* moments;                 // [2][H][W] sums of w m and w m^2; only with distortion
+  const uint8_t* needed;      // [H][W], 0: the pixel stays empty and gives no gradient; null: draw all
 };
 
 template <class S> struct RasterKernels {
@@ -38,7 +39,8 @@ template <class S> struct RasterKernels {
   void (*forward)(const RasterFrame<S>&, int tile, S* maps);
   // v_maps: where each plane's gradient is, null for zero; slots: [slots][kGradHead + channels]; left alone
   // where there is no activity.
-  void (*backward)(const RasterFrame<S>&, int tile, const S* maps, const S* const* v_maps, S* slots);
+  using Backward = void (*)(const RasterFrame<S>&, int tile, const S* maps, const S* const* v_maps, S* slots);
+  Backward backward, backward_absolute;  // without and with the last two of a slot's head, which else are zero
 };
 
 }  // namespace refdgs

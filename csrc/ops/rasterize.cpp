@@ -123,7 +123,7 @@ template <class S> RasterFrame<S> Raster<S>::frame() {
   return {cam_.width,       cam_.height,        tiles_x_,           tiles_y_,          channels_,
           options_.extra,   cam_.near,          stride_,            records_.data(),   boxes_.data(),
           entries_.data(),  tile_start_.data(), tile_stop_.data(), activity_.data(),
-          moments_.data()};
+          moments_.data(),  options_.needed};
 }
 
 template <class S>
@@ -178,7 +178,8 @@ void Raster<S>::reduce(const Surfels<S>& in, const SurfelGrads<S>& out, int64_t 
 template <class S>
 void Raster<S>::backward(const Surfels<S>& in, const S* maps, const S* const* v_maps, const SurfelGrads<S>& out) {
   fit(slots_, int64_t(entries_.size()) * (kGradHead + channels_));
-  const auto replay = tile_kernels(S(0), channels_, options_.extra).backward;
+  const RasterKernels<S> kernels = tile_kernels(S(0), channels_, options_.extra);
+  const auto replay = options_.absolute ? kernels.backward_absolute : kernels.backward;
   const RasterFrame<S> f = frame();
   parallel_for_dynamic(int64_t(tiles_x_) * tiles_y_, options_.threads,
                        [&](int64_t tile, int) { replay(f, int(tile), maps, v_maps, slots_.data()); });

@@ -25,6 +25,8 @@ struct RasterOptions {
   Extra extra;
   bool normals;  // append the world-space normal to the channels
   int threads;
+  bool absolute = true;             // the second of the screen's gradients
+  const uint8_t* needed = nullptr;  // [H][W], 0 where the pixel may stay empty; kept until after backward
 };
 
 // Memory that starts with a cache line, so that records do not straddle more lines than they must.

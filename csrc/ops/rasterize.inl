@@ -163,6 +163,23 @@ template <class S, class F> inline void load_plane(const RasterFrame<S>& f, int 
     }
 }
 
+// Which pixels of a block, whose first is (x, y), are drawn.
+template <class S> inline typename Simd<S>::vm drawn_lanes(const RasterFrame<S>& f, const Lanes<S>& lanes, int x, int y) {
+  const auto inside = less(load(lanes.x) + S(x), all(S(f.width))) & less(load(lanes.y) + S(y), all(S(f.height)));
+  if (!f.needed) return inside;
+  uint8_t needed[LANES] = {};
+  for (int row = 0; row < kBlockH && y + row < f.height; ++row) {
+    const uint8_t* from = f.needed + int64_t(y + row) * f.width + x;
+    if (x + kBlockW <= f.width)
+      __builtin_memcpy(needed + row * kBlockW, from, kBlockW);
+    else
+      for (int i = 0; x + i < f.width; ++i) needed[row * kBlockW + i] = from[i];
+  }
+  alignas(64) S drawn[LANES];
+  for (int i = 0; i < LANES; ++i) drawn[i] = S(needed[i]);
+  return inside & less(typename Simd<S>::vf{}, load(drawn));
+}
+
 template <class S, int C, int X>
 void store_maps(const RasterFrame<S>& f, int tx, int ty, BlockSums<S, C>* sums, S* maps) {
   const int64_t plane = int64_t(f.width) * f.height;
@@ -190,10 +207,8 @@ template <class S, int C, int X> void forward_tile(const RasterFrame<S>& f, int 
   __builtin_memset(sums, 0, sizeof sums);
   uint64_t open = 0;
   for (int block = 0; block < kBlocks; ++block) {
-    const vf x = load(lanes.x) + S(tx + block % kBlocksX * kBlockW);
-    const vf y = load(lanes.y) + S(ty + block / kBlocksX * kBlockH);
     store(sums[block].T, all(S(1)));
-    sums[block].alive = less(x, all(S(f.width))) & less(y, all(S(f.height)));
+    sums[block].alive = drawn_lanes(f, lanes, tx + block % kBlocksX * kBlockW, ty + block / kBlocksX * kBlockH);
     open |= uint64_t(any_lane(sums[block].alive)) << block;
   }
   const S* records[kBatch];
@@ -233,18 +248,19 @@ template <class S, int C, int X> void forward_tile(const RasterFrame<S>& f, int 
   store_maps<S, C, X>(f, tx, ty, sums, maps);
 }
 
-// What backward keeps of a tile: incoming gradients, transmittance so far (negative once a pixel has
-// stopped), R, and with distortion alpha and the moments.
+// What backward keeps of a tile: incoming gradients, transmittance so far (negative where a pixel is not
+// drawn or has stopped), R, and with distortion alpha and the moments.
 template <class S, int C, int X> struct Replay {
   alignas(64) S g[kBlocks][planes_of(C, X)][LANES], T[kBlocks][LANES], R[kBlocks][LANES];
   alignas(64) S M[kBlocks][X >= 2 ? 3 : 1][LANES];
 
-  void load_tile(const RasterFrame<S>& f, int tx, int ty, const S* maps, const S* const* v_maps) {
+  void load_tile(const RasterFrame<S>& f, const Lanes<S>& lanes, int tx, int ty, const S* maps, const S* const* v_maps) {
     const int64_t plane = int64_t(f.width) * f.height;
-    alignas(64) S map[kBlocks][LANES];
+    alignas(64) S sums[kTile][kTile] = {};  // of maps times gradients, by image rows: nothing to rearrange per plane
+    const int rows = f.height - ty < kTile ? f.height - ty : kTile, columns = f.width - tx < kTile ? f.width - tx : kTile;
     for (int block = 0; block < kBlocks; ++block) {
-      store(T[block], all(S(1)));
-      store(R[block], all(S(0)));
+      const auto drawn = drawn_lanes(f, lanes, tx + block % kBlocksX * kBlockW, ty + block / kBlocksX * kBlockH);
+      store(T[block], select(drawn, all(S(1)), all(S(-1))));
     }
     for (int c = 0; c < planes_of(C, X); ++c) {
       if (!v_maps[c]) {
@@ -253,10 +269,21 @@ template <class S, int C, int X> struct Replay {
       }
       load_plane(f, tx, ty, v_maps[c], [&](int block) { return g[block][c]; });
       if (c == C + 2) continue;  // the median's gradient does not pass through weights
-      load_plane(f, tx, ty, maps + c * plane, [&](int block) { return map[block]; });
-      for (int block = 0; block < kBlocks; ++block)
-        store(R[block], load(R[block]) + load(map[block]) * load(g[block][c]) * (c == C + 3 ? S(2) : S(1)));
+      for (int row = 0; row < rows; ++row) {
+        const int64_t at = int64_t(ty + row) * f.width + tx;
+        const S *map = maps + c * plane + at, *v_map = v_maps[c] + at;
+        const S share = c == C + 3 ? S(2) : S(1);
+        if (columns == kTile)
+          for (int x = 0; x < kTile; x += LANES)
+            store(sums[row] + x, load(sums[row] + x) + share * load(map + x) * load(v_map + x));
+        else
+          for (int x = 0; x < columns; ++x) sums[row][x] += share * map[x] * v_map[x];
+      }
     }
+    for (int block = 0; block < kBlocks; ++block)
+      for (int row = 0; row < kBlockH; ++row)
+        __builtin_memcpy(R[block] + row * kBlockW, &sums[block / kBlocksX * kBlockH + row][block % kBlocksX * kBlockW],
+                         kBlockW * sizeof(S));
     if (X >= 2) {
       load_plane(f, tx, ty, maps + C * plane, [&](int block) { return M[block][0]; });
       load_plane(f, tx, ty, f.moments, [&](int block) { return M[block][X >= 2 ? 1 : 0]; });
@@ -265,10 +292,12 @@ template <class S, int C, int X> struct Replay {
   }
 };
 
-// One surfel in one block: adds to the sums of its gradients.
-template <class S, int C, int X>
+// One surfel in one block: adds to the sums of its gradients. What moves the centre with the ray is linear in
+// three sums, L, and joins G after the last block, unless absolute values are wanted pixel by pixel.
+template <class S, int C, int X, bool Absolute>
 inline __attribute__((always_inline)) void replay(S near, const S* r, typename Simd<S>::vf x, typename Simd<S>::vf y,
-                                                  Replay<S, C, X>& t, int block, typename Simd<S>::vf* G) {
+                                                  Replay<S, C, X>& t, int block, typename Simd<S>::vf* G,
+                                                  typename Simd<S>::vf* L) {
   using vf = typename Simd<S>::vf;
   using vm = typename Simd<S>::vm;
   const Hit<S> h = hit(r, x, y, near);
@@ -310,21 +339,29 @@ inline __attribute__((always_inline)) void replay(S near, const S* r, typename S
   const vf gz_disc = keep(h.has_hit, gz * h.iq);
   G[8] += select(h.has_hit, gz_disc, gz);
   const vf gq = -(h.u * gpx + h.v * gpy) - gz_disc * h.z;
-  const vf gdx = gpx * r[2] + gpy * r[4] + gq * r[6] + h.dx * low_pass;
-  const vf gdy = gpx * r[3] + gpy * r[5] + gq * r[7] + h.dy * low_pass;
-  G[0] -= gdx;
-  G[1] -= gdy;
+  if (Absolute) {
+    const vf gdx = gpx * r[2] + gpy * r[4] + gq * r[6] + h.dx * low_pass;
+    const vf gdy = gpx * r[3] + gpy * r[5] + gq * r[7] + h.dy * low_pass;
+    G[0] -= gdx;
+    G[1] -= gdy;
+    G[10] += abs_of(gdx);
+    G[11] += abs_of(gdy);
+  } else {
+    L[0] += gpx;
+    L[1] += gpy;
+    L[2] += gq;
+    G[0] -= h.dx * low_pass;
+    G[1] -= h.dy * low_pass;
+  }
   G[2] += gpx * h.dx;
   G[3] += gpx * h.dy;
   G[4] += gpy * h.dx;
   G[5] += gpy * h.dy;
   G[6] += gq * h.dx;
   G[7] += gq * h.dy;
-  G[10] += abs_of(gdx);
-  G[11] += abs_of(gdy);
 }
 
-template <class S, int C, int X>
+template <class S, int C, int X, bool Absolute>
 void backward_tile(const RasterFrame<S>& f, int tile, const S* maps, const S* const* v_maps, S* slots) {
   using vf = typename Simd<S>::vf;
   static const Lanes<S> lanes;
@@ -333,7 +370,7 @@ void backward_tile(const RasterFrame<S>& f, int tile, const S* maps, const S* co
   const int64_t begin = f.tile_start[tile], end = f.tile_stop[tile];
   if (begin == end) return;
   Replay<S, C, X> t;
-  t.load_tile(f, tx, ty, maps, v_maps);
+  t.load_tile(f, lanes, tx, ty, maps, v_maps);
   for (int64_t e = begin; e < end; ++e) {
     if (e + 2 * ahead < end) __builtin_prefetch(f.activity + f.entries[e + 2 * ahead].slot);
     if (e + ahead < end && f.activity[f.entries[e + ahead].slot]) {
@@ -346,6 +383,7 @@ void backward_tile(const RasterFrame<S>& f, int tile, const S* maps, const S* co
     uint64_t active = f.activity[f.entries[e].slot];
     if (!active) continue;
     const S* r = f.records + int64_t(f.entries[e].surfel) * f.stride;
+    vf L[3] = {};
     vf G[(width + 15) / 16 * 16];
 #pragma GCC unroll 32
     for (int c = 0; c < (width + 15) / 16 * 16; ++c) G[c] = vf{};
@@ -353,17 +391,22 @@ void backward_tile(const RasterFrame<S>& f, int tile, const S* maps, const S* co
       const int block = __builtin_ctzll(active);
       const vf x = load(lanes.x) + S(tx + block % kBlocksX * kBlockW);
       const vf y = load(lanes.y) + S(ty + block / kBlocksX * kBlockH);
-      replay<S, C, X>(f.near, r, x, y, t, block, G);
+      replay<S, C, X, Absolute>(f.near, r, x, y, t, block, G, L);
     }
+    G[0] -= r[2] * L[0] + r[4] * L[1] + r[6] * L[2];
+    G[1] -= r[3] * L[0] + r[5] * L[1] + r[7] * L[2];
     lane_sums(G, width, slots + int64_t(f.entries[e].slot) * width);
   }
 }
 
+template <class S, int C, int X> RasterKernels<S> raster_kernels_of() {
+  return {forward_tile<S, C, X>, backward_tile<S, C, X, false>, backward_tile<S, C, X, true>};
+}
 template <class S, int C> RasterKernels<S> raster_kernels_c(Extra extra) {
   switch (extra) {
-    case Extra::none: return {forward_tile<S, C, 0>, backward_tile<S, C, 0>};
-    case Extra::depth: return {forward_tile<S, C, 1>, backward_tile<S, C, 1>};
-    default: return {forward_tile<S, C, 2>, backward_tile<S, C, 2>};
+    case Extra::none: return raster_kernels_of<S, C, 0>();
+    case Extra::depth: return raster_kernels_of<S, C, 1>();
+    default: return raster_kernels_of<S, C, 2>();
   }
 }
 template <class S> RasterKernels<S> raster_kernels(int channels, Extra extra) {

@@ -1,24 +1,7 @@
 // LANES covered pixels at a time, or LANES pixels along a row. Covered pixels mostly lie side by side, where
 // they are read and written as vectors; elsewhere one by one.
 
-template <class S> using V3 = Vec3<typename Simd<S>::vf>;
-
-template <class S> inline V3<S> rotate(const Mat3<S>& A, const V3<S>& v) {
-  return {A.m[0] * v.x + A.m[1] * v.y + A.m[2] * v.z, A.m[3] * v.x + A.m[4] * v.y + A.m[5] * v.z,
-          A.m[6] * v.x + A.m[7] * v.y + A.m[8] * v.z};
-}
-template <class S> inline V3<S> rotate_back(const Mat3<S>& A, const V3<S>& v) {
-  return {A.m[0] * v.x + A.m[3] * v.y + A.m[6] * v.z, A.m[1] * v.x + A.m[4] * v.y + A.m[7] * v.z,
-          A.m[2] * v.x + A.m[5] * v.y + A.m[8] * v.z};
-}
-
-// v / sqrt(|v|^2 + eps) and its backward pass.
-template <class S> struct UnitVector {
-  V3<S> v, unit;
-  typename Simd<S>::vf scale;
-  UnitVector(const V3<S>& a, S eps) : v(a), scale(reciprocal(sqrt_of(dot(a, a) + eps))) { unit = scale * a; }
-  V3<S> vjp(const V3<S>& g) const { return scale * g - (scale * scale * scale * dot(v, g)) * v; }
-};
+template <class S> using Value = typename Simd<S>::vf;
 
 // Natural logarithm of positive numbers, polynomial of Cephes logf.
 inline vf32 ln_of(vf32 x) {
@@ -43,6 +26,10 @@ inline Simd<double>::vf ln_of(Simd<double>::vf x) {
   for (int i = 0; i < LANES; ++i) x[i] = __builtin_log(x[i]);
   return x;
 }
+
+template <class V, class S> inline V power_of(V x, S exponent) { return exp_of(ln_of(x) * exponent); }
+
+#include "../math/pixel.inl"
 
 // LANES covered pixels from number `first` on; past the last one, the last again.
 template <class S> struct Spots {
@@ -91,25 +78,13 @@ template <class S> inline V3<S> pick3(Rows<const S> rows, const Spots<S>& at) {
   return {pick(rows, at, 0), pick(rows, at, 1), pick(rows, at, 2)};
 }
 
-// The mirror at some pixels: the ray, the surface's normal, where the ray goes.
-template <class S> struct Mirror {
-  V3<S> ray;
-  UnitVector<S> normal;
-  typename Simd<S>::vf towards;
-  UnitVector<S> out;
-
-  Mirror(const Covered<S>& in, const Spots<S>& at)
-      : ray(world_ray(in.view, at)),
-        normal({gather(in.normal, at, 0), gather(in.normal, at, 1), gather(in.normal, at, 2)}, S(1e-16)),
-        towards(-dot(normal.unit, ray)), out(ray + (2 * towards) * normal.unit, S(1e-16)) {}
-
-  static V3<S> world_ray(const View<S>& view, const Spots<S>& at) {
-    using vf = typename Simd<S>::vf;
-    const V3<S> r{(__builtin_convertvector(at.x, vf) + (S(0.5) - view.cx)) * (1 / view.fx),
-                  (__builtin_convertvector(at.y, vf) + (S(0.5) - view.cy)) * (1 / view.fy), all(S(1))};
-    return rotate(view.world_from_cam, UnitVector<S>(r, S(0)).unit);
-  }
-};
+template <class S> inline Mirror<S> mirror_at(const Covered<S>& in, const Spots<S>& at) {
+  const View<S>& view = in.view;
+  const V3<S> r{(__builtin_convertvector(at.x, Value<S>) + (S(0.5) - view.cx)) * (1 / view.fx),
+                (__builtin_convertvector(at.y, Value<S>) + (S(0.5) - view.cy)) * (1 / view.fy), all(S(1))};
+  return {rotate(view.world_from_cam, UnitVector<S>(r, S(0)).unit),
+          {gather(in.normal, at, 0), gather(in.normal, at, 1), gather(in.normal, at, 2)}};
+}
 
 template <class S> void shade_inputs(const Covered<S>& in, Band band, const Inputs<S>& out) {
   using vf = typename Simd<S>::vf;
@@ -118,11 +93,11 @@ template <class S> void shade_inputs(const Covered<S>& in, Band band, const Inpu
     const vf whole = reciprocal(gather(in.alpha, at, 0));
     for (int c = 0; c < 3; ++c) put(out.diffuse, at, c, gather(in.features, at, c) * whole);
     put(out.roughness, at, 0, gather(in.features, at, 3) * whole);
-    const Mirror<S> mirror(in, at);
+    const Mirror<S> mirror = mirror_at(in, at);
     put(out.reflected, at, 0, mirror.out.unit.x);
     put(out.reflected, at, 1, mirror.out.unit.y);
     put(out.reflected, at, 2, mirror.out.unit.z);
-    put(out.cosine, at, 0, min_of(max_of(mirror.towards, vf{}), all(S(1))));
+    put(out.cosine, at, 0, mirror.cosine());
     if (!in.near.data) continue;
     for (int c = 0; c < 4; ++c) put(out.near, at, c, gather(in.near, at, c));
   }
@@ -151,25 +126,14 @@ void shade_inputs_bwd(const Covered<S>& in, Band band, const Inputs<const S>& v,
       v_alpha -= g * gather(in.features, at, c) * whole;
     }
     scatter(grads.alpha, width, at, v_alpha);
-    const Mirror<S> mirror(in, at);
-    const V3<S> n = mirror.normal.unit, v_out = mirror.out.vjp(pick3(v.reflected, at));
-    const auto inside = at_most(vf{}, mirror.towards) & at_most(mirror.towards, all(S(1)));
-    const vf v_towards = 2 * dot(n, v_out) + keep(inside, pick(v.cosine, at, 0));
-    const V3<S> v_normal = mirror.normal.vjp((2 * mirror.towards) * v_out - v_towards * mirror.ray);
+    const Mirror<S> mirror = mirror_at(in, at);
+    const V3<S> v_normal = mirror.vjp(pick3(v.reflected, at), pick(v.cosine, at, 0));
     scatter(grads.normal, width, at, v_normal.x);
     scatter(grads.normal + plane, width, at, v_normal.y);
     scatter(grads.normal + 2 * plane, width, at, v_normal.z);
     if (!in.near.data) continue;
     for (int c = 0; c < 4; ++c) scatter(grads.near + c * plane, width, at, pick(v.near, at, c));
   }
-}
-
-template <class V, class S> inline V clip_linear(V linear, S least) {
-  return min_of(V{} + 1, max_of(V{} + least, linear));  // in this order a NaN stays one
-}
-template <class S> inline typename Simd<S>::vf srgb_of(typename Simd<S>::vf x) {
-  const auto curve = S(1.055) * exp_of(ln_of(x) * S(1 / 2.4)) - S(0.055);
-  return select(less(all(S(0.0031308)), x), curve, S(12.92) * x);
 }
 
 // LANES pixels along a row from x on; past the row's end, its last pixel.
@@ -207,7 +171,7 @@ template <class S> void shade_composite(const Composite<S>& in, Band band, S* im
       const vf linear = pick(in.diffuse, at, c) + pick(in.radiance, at, c);
       S* to = image + c * plane;
       const Image<S> so_far{to, in.width, 1, plane};
-      scatter(to, in.width, at, gather(so_far, at, 0) + a * srgb_of<S>(clip_linear(linear, S(1e-6))));
+      scatter(to, in.width, at, gather(so_far, at, 0) + a * Shown<S>(linear).color);
     }
   }
 }
@@ -228,13 +192,10 @@ void shade_composite_bwd(const Composite<S>& in, Band band, const Image<S>& v_im
     const vf a = gather(in.object_alpha, at, 0);
     vf v_a{};
     for (int c = 0; c < 3; ++c) {
-      const vf linear = pick(in.diffuse, at, c) + pick(in.radiance, at, c), q = clip_linear(linear, S(1e-6));
-      const vf color = srgb_of<S>(q), v_color = gather(v_image, at, c);
-      v_a += v_color * color;
-      const vf curve = (color + S(0.055)) * reciprocal(S(2.4) * q);
-      const vf g = a * v_color * select(at_most(q, all(S(0.0031308))), all(S(12.92)), curve);
-      const auto clipped = less(all(S(1)), linear) & less(g, vf{});  // a clipped highlight is never pushed up
-      put(Rows<S>{v_linear, 1, in.count}, at, c, keep(~(less(linear, all(S(1e-6))) | clipped), g));
+      const Shown<S> shown(pick(in.diffuse, at, c) + pick(in.radiance, at, c));
+      const vf v_color = gather(v_image, at, c);
+      v_a += v_color * shown.color;
+      put(Rows<S>{v_linear, 1, in.count}, at, c, shown.vjp(a * v_color));
     }
     scatter(v_object_alpha, in.width, at, v_a);
   }
@@ -266,18 +227,13 @@ template <class S> double agreement_row(const Agreement<S>& in, int64_t y, bool 
       if (any_lane(less(vf{}, weight) | less(weight, vf{}))) {
         const V3<S> above = point(y - 1, x, 0), below = point(y + 1, x, 0), left = point(y, x, -1);
         const V3<S> here = point(y, x, 0), next = point(y, x, 1), down = below - above, right = next - left;
-        const vf bend = max_of(abs_of(above.z + below.z - 2 * here.z), abs_of(left.z + next.z - 2 * here.z));
-        weight = keep(less(bend * view.fx, in.edge * here.z), weight);
-        const UnitVector<S> depth_normal(cross(down, right), S(1e-24));
-        const UnitVector<S> normal({along(in.normal, y, x0, width, 0), along(in.normal, y, x0, width, 1),
-                                    along(in.normal, y, x0, width, 2)}, S(1e-16));
-        const V3<S> seen = rotate_back(view.world_from_cam, normal.unit);
-        const vf term = weight * (1 - dot(seen, depth_normal.unit)), g = weight * -in.scale;
+        weight = keep(less(bend_of<S>(above.z, below.z, left.z, next.z, here.z) * view.fx, in.edge * here.z), weight);
+        const V3<S> splatted{along(in.normal, y, x0, width, 0), along(in.normal, y, x0, width, 1),
+                             along(in.normal, y, x0, width, 2)};
+        const NormalPair<S> pair(down, right, splatted, view.world_from_cam, weight * -in.scale);
+        const vf term = weight * (1 - pair.agreement);
         for (int i = 0; i < LANES; ++i) sum += double(term[i]);
-        const V3<S> v_cross = depth_normal.vjp(g * seen);
-        parts[0] = cross(right, v_cross);
-        parts[1] = cross(v_cross, down);
-        parts[2] = normal.vjp(g * rotate(view.world_from_cam, depth_normal.unit));
+        parts[0] = pair.v_down, parts[1] = pair.v_right, parts[2] = pair.v_normal;
       }
     }
     if (!in.v_normal) continue;

@@ -122,7 +122,7 @@ template <class S> inline void lane_sums(const typename Simd<S>::vf* v, int n, S
   }
 }
 #if defined(__AVX512F__) && LANES == 16
-// Sixteen at a time by one transposed reduction; v must be readable up to a multiple of 16.
+// Sixteen at a time by one transposed reduction, then eight; v must be readable up to a multiple of 16.
 inline __m512 lane_sums_16(const vf32* v) {
   __m512 t[8], q[4];
   for (int i = 0; i < 8; ++i)
@@ -136,11 +136,26 @@ inline __m512 lane_sums_16(const vf32* v) {
   const __m512 b = _mm512_add_ps(_mm512_shuffle_f32x4(q[2], q[3], 0x88), _mm512_shuffle_f32x4(q[2], q[3], 0xdd));
   return _mm512_add_ps(_mm512_shuffle_f32x4(a, b, 0x88), _mm512_shuffle_f32x4(a, b, 0xdd));
 }
+inline __m256 lane_sums_8(const vf32* v) {
+  __m512 t[4], q[2];
+  for (int i = 0; i < 4; ++i)
+    t[i] = _mm512_add_ps(_mm512_unpacklo_ps((__m512)v[2 * i], (__m512)v[2 * i + 1]),
+                         _mm512_unpackhi_ps((__m512)v[2 * i], (__m512)v[2 * i + 1]));
+  for (int i = 0; i < 2; ++i) {
+    const __m512d a = _mm512_castps_pd(t[2 * i]), b = _mm512_castps_pd(t[2 * i + 1]);
+    q[i] = _mm512_add_ps(_mm512_castpd_ps(_mm512_unpacklo_pd(a, b)), _mm512_castpd_ps(_mm512_unpackhi_pd(a, b)));
+  }
+  const __m512 s = _mm512_add_ps(_mm512_shuffle_f32x4(q[0], q[1], 0x88), _mm512_shuffle_f32x4(q[0], q[1], 0xdd));
+  const __m256 first = _mm512_castps512_ps256(s), second = _mm512_extractf32x8_ps(s, 1);
+  return _mm256_add_ps(_mm256_permute2f128_ps(first, second, 0x20), _mm256_permute2f128_ps(first, second, 0x31));
+}
 inline void lane_sums(const vf32* v, int n, float* out) {
-  for (int k = 0; k < n; k += 16) {
+  int k = 0;
+  for (; n - k > 8; k += 16) {
     const int left = n - k < 16 ? n - k : 16;
     _mm512_mask_storeu_ps(out + k, (__mmask16)((1u << left) - 1), lane_sums_16(v + k));
   }
+  if (k < n) _mm256_mask_storeu_ps(out + k, (__mmask8)((1u << (n - k)) - 1), lane_sums_8(v + k));
 }
 #elif defined(__AVX2__) && LANES == 8
 inline void lane_sums(const vf32* v, int n, float* out) {

@@ -1,19 +1,27 @@
 """Differentiable operations on surfels and maps, each defined by a torch reference in float64."""
 
-from refdgs_pipe.ops.image_loss import image_loss, ssim, ssim_map
+from refdgs_pipe.ops.image_loss import image_loss, image_loss_and_error, ssim, ssim_map
 from refdgs_pipe.ops.mlp import mlp
+from refdgs_pipe.ops.photo import composited, mask_entropy
+from refdgs_pipe.ops.plan import Later, Plan
 from refdgs_pipe.ops.rasterize import Maps, Pinhole, ScreenStatistics, Surfels, rasterize
-from refdgs_pipe.ops.shade import clip, composite, normal_agreement, shading_inputs
+from refdgs_pipe.ops.shade import clip, composite, covered_pixels, normal_agreement, shading_inputs
 from refdgs_pipe.ops.sph_mip import mip_levels, sph_mip
 
 __all__ = [
+    "Later",
     "Maps",
     "Pinhole",
+    "Plan",
     "ScreenStatistics",
     "Surfels",
     "clip",
     "composite",
+    "composited",
+    "covered_pixels",
     "image_loss",
+    "image_loss_and_error",
+    "mask_entropy",
     "mip_levels",
     "mlp",
     "normal_agreement",

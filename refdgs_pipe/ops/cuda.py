@@ -20,7 +20,8 @@ def check_gpu(name: str, tensor: Tensor) -> None:
     """There are kernels for this tensor.
 
     Raises:
-        DeviceError: it is on a device that this build has no kernels for.
+        DeviceError: it is on a device that this build has no kernels for, or not on torch's current
+            GPU.
         ShapeError: it is not float32, the only type that they compute in.
     """
     if tensor.device.type == "cpu":
@@ -32,6 +33,11 @@ def check_gpu(name: str, tensor: Tensor) -> None:
         )
     if tensor.dtype != torch.float32:
         raise ShapeError(f"{name} is {tensor.dtype}: the GPU computes in float32")
+    if tensor.device.index != torch.cuda.current_device():
+        raise DeviceError(
+            f"{name} is on {tensor.device}, but kernels run on cuda:{torch.cuda.current_device()}: "
+            "choose a GPU by CUDA_VISIBLE_DEVICES, or call within torch.cuda.device"
+        )
 
 
 def kernels(name: str, like: Tensor) -> Callable[..., Any]:
@@ -49,6 +55,13 @@ def processors(like: Tensor) -> int:
     """How many multiprocessors the GPU has."""
     count: int = torch.cuda.get_device_properties(like.device).multi_processor_count
     return count
+
+
+def sent(tensor: Tensor, device: str) -> Tensor:
+    """A tensor of the CPU on a device; neither waits for the other."""
+    if device == "cuda":
+        tensor = tensor.pin_memory()  # a copy from other memory would be waited for
+    return tensor.to(device, non_blocking=True)
 
 
 def memory(size: int, like: Tensor) -> Tensor:

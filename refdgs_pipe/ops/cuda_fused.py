@@ -11,6 +11,7 @@ from refdgs_pipe.ops import addresses, cuda
 LOSS_TILE = 16  # pixels along the edge of a block's tile
 MLP_POINTS, MLP_HIDDEN = 64, 64  # points of a block's tile; width of hidden layers
 BLOCKS_PER_PROCESSOR = 3
+TENSOR_CORES = True  # for the network's hidden layers; else fused multiply-adds
 QUAD = 16  # bytes that kernels read at once
 
 
@@ -79,14 +80,16 @@ class Mlp(torch.autograd.Function):
     """Keeps x and the result; hidden values are computed again."""
 
     @staticmethod
-    def forward(ctx: Any, x: Tensor, exp_cap: float | None, *parameters: Tensor) -> Tensor:
+    def forward(
+        ctx: Any, x: Tensor, exp_cap: float | None, limit: Tensor | None, *parameters: Tensor
+    ) -> Tensor:
         parameters = tuple(t.contiguous() for t in parameters)
         layers, outputs = len(parameters) // 2, len(parameters[-1])
         out = x.new_empty(len(x), outputs)
         tiles = -(-len(x) // MLP_POINTS)
         blocks = min(tiles, BLOCKS_PER_PROCESSOR * cuda.processors(x))
-        ctx.shape = [*x.shape, layers - 1, outputs, blocks]
-        ctx.cap = [] if exp_cap is None else [exp_cap]
+        ctx.shape = [*x.shape, layers - 1, outputs, blocks, int(TENSOR_CORES)]
+        ctx.cap, ctx.limit = [] if exp_cap is None else [exp_cap], limit
         cuda.kernels("mlp", x)(*_mlp_call(ctx, x, parameters), out.data_ptr())
         ctx.save_for_backward(x, out, *parameters)
         return out
@@ -107,11 +110,16 @@ class Mlp(torch.autograd.Function):
             [*data, hidden.data_ptr(), parts.data_ptr()],
             *_halves(v_parameters),
         )
-        return v_x, None, *v_parameters
+        return v_x, None, None, *v_parameters
 
 
 def _mlp_call(ctx: Any, x: Tensor, parameters: Sequence[Tensor]) -> tuple[Any, ...]:
-    return ctx.shape, x.data_ptr(), list(x.stride()), *_halves(parameters), ctx.cap
+    head = (ctx.shape, x.data_ptr(), list(x.stride()), *_halves(parameters), ctx.cap)
+    return *head, _address(ctx.limit)
+
+
+def _address(limit: Tensor | None) -> int:
+    return 0 if limit is None else limit.data_ptr()
 
 
 def _halves(parameters: Sequence[Tensor]) -> tuple[list[int], list[int]]:
@@ -124,7 +132,13 @@ class SphMip(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, base: Tensor, directions: Tensor, roughness: Tensor, levels: int, least: float
+        ctx: Any,
+        base: Tensor,
+        directions: Tensor,
+        roughness: Tensor,
+        levels: int,
+        least: float,
+        limit: Tensor | None,
     ) -> Tensor:
         base = _quads(base)
         height, width, channels = base.shape
@@ -133,8 +147,10 @@ class SphMip(torch.autograd.Function):
         coordinates = base.new_empty(3, len(directions))
         features = base.new_empty(len(directions), channels)
         tensors = (base, mips, directions, roughness, coordinates)
-        ctx.call = ([height, width, levels], len(directions), least)
-        cuda.kernels("sph_mip", base)(*ctx.call, *_mip_inputs(*tensors), features.data_ptr())
+        ctx.call, ctx.limit = ([height, width, levels], len(directions), least), limit
+        cuda.kernels("sph_mip", base)(
+            *ctx.call, *_mip_inputs(*tensors), _address(limit), features.data_ptr()
+        )
         ctx.save_for_backward(*tensors)
         return features
 
@@ -151,11 +167,12 @@ class SphMip(torch.autograd.Function):
         cuda.kernels("sph_mip_bwd", base)(
             *ctx.call,
             *_mip_inputs(base, mips, directions, roughness, coordinates),
+            _address(ctx.limit),
             v_features.data_ptr(),
             [*outputs, v_directions.data_ptr(), v_roughness.data_ptr()],
             [0 if v_base is None else bits.data_ptr(), scale.data_ptr()],
         )
-        return v_base, v_directions, v_roughness, None, None
+        return v_base, v_directions, v_roughness, None, None, None
 
 
 def _mip_inputs(*tensors: Tensor) -> tuple[list[int], list[int]]:

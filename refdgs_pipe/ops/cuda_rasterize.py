@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from refdgs_pipe.ops import addresses, cuda
+from refdgs_pipe.ops.plan import Plan
 from refdgs_pipe.ops.rasterize import (
     EXTRAS,
     Extra,
@@ -18,10 +19,18 @@ from refdgs_pipe.ops.rasterize import (
 )
 
 GRAD_HEAD = 12  # of a slot, before its channels
+MOST_ENTRIES = 2**31 - 1
 POSE_BLOCK = 128  # surfels whose pose gradients are added first
 
 
-def draw(surfels: Surfels, features: Tensor, camera: Pinhole, extra: Extra, normals: bool) -> Maps:
+def draw(
+    surfels: Surfels,
+    features: Tensor,
+    camera: Pinhole,
+    extra: Extra,
+    normals: bool,
+    plan: Plan | None,
+) -> Maps:
     """Rasterise on the GPU; inputs are checked by `rasterize`."""
     n = len(features)
     statistics = ScreenStatistics(features.new_zeros(n), features.new_zeros(n, 2))
@@ -35,6 +44,7 @@ def draw(surfels: Surfels, features: Tensor, camera: Pinhole, extra: Extra, norm
         camera,
         extra,
         normals,
+        plan,
         statistics,
     )
     return maps_of(parts, statistics, extra, normals)
@@ -47,14 +57,14 @@ def _numbers(camera: Pinhole) -> list[float]:
 
 
 def _entries(by_surfel: Tensor, n: int) -> int:
-    """How many entries the tiles' lists have. The one value that a drawing waits for."""
+    """How many entries the tiles' lists have. A drawing without a plan waits for it."""
     return int(by_surfel[8 * n : 8 * n + 8].view(torch.int64))
 
 
 class _Rasterize(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, *args: Any) -> tuple[Tensor, ...]:
-        *tensors, camera, extra, normals, statistics = args
+        *tensors, camera, extra, normals, plan, statistics = args
         inputs = [t.detach().contiguous() for t in tensors[:5]]
         like = inputs[0]
         n, channels = inputs[4].shape
@@ -73,7 +83,14 @@ class _Rasterize(torch.autograd.Function):
             scratch.data_ptr(),
             sizes[2],
         )
-        shape[6] = _entries(by_surfel, n)
+        places = [0, 0]
+        if plan is None:
+            shape[6] = _entries(by_surfel, n)
+        else:
+            shape[6] = plan.room(
+                *shape[1:6], items=n, most=MOST_ENTRIES, count=lambda: _entries(by_surfel, n)
+            )
+            places = plan.places()
         sizes = cuda.kernels("raster_sizes", like)(shape)
         by_entry, scratch = cuda.memory(sizes[1], like), cuda.memory(sizes[3], like)
         planes = like.new_empty(count, camera.height, camera.width)
@@ -87,6 +104,7 @@ class _Rasterize(torch.autograd.Function):
             scratch.data_ptr(),
             planes.data_ptr(),
             moments.data_ptr(),
+            places,
         )
         ctx.save_for_backward(planes, moments, by_surfel, by_entry, *inputs)
         ctx.set_materialize_grads(False)
@@ -127,4 +145,4 @@ class _Rasterize(torch.autograd.Function):
         if wanted:
             pose = torch.zeros_like(ctx.pose)
             pose[:3] = v_pose.to(ctx.pose)
-        return (*out, pose, None, None, None, None)
+        return (*out, pose, *[None] * 5)

@@ -6,9 +6,29 @@ import torch
 from torch import Tensor
 
 from refdgs_pipe.ops import addresses, cuda
+from refdgs_pipe.ops.plan import Plan
 from refdgs_pipe.ops.rasterize import Pinhole
 
 AGREEMENT_BLOCK = 256  # pixels whose part of the sum is one
+
+
+def covered_pixels(alpha: Tensor, least: float, plan: Plan) -> Tensor:
+    """`ops.covered_pixels` with a plan."""
+    size = [*alpha.shape]
+    every = alpha.numel()
+    room = plan.room(*size, items=every, most=every, count=lambda: _count(alpha, least))
+    pixels = alpha.new_empty(room, dtype=torch.int64)
+    sizes = cuda.kernels("covered_sizes", alpha)(size)
+    counts, scratch = cuda.memory(sizes[0], alpha), cuda.memory(sizes[1], alpha)
+    memory = [pixels.data_ptr(), counts.data_ptr(), scratch.data_ptr()]
+    image = [addresses.image(alpha)]
+    cuda.kernels("covered_pixels", alpha)(size, image, least, room, memory, sizes[1], plan.places())
+    return pixels
+
+
+def _count(alpha: Tensor, least: float) -> int:
+    """How many pixels are covered. The first step of an image's size waits for it."""
+    return int((alpha > least).sum())
 
 
 class ShadingInputs(torch.autograd.Function):

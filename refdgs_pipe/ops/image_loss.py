@@ -1,5 +1,6 @@
 """How far a rendered image is from a photo: L1 and SSIM and their gradient in one pass."""
 
+import math
 from typing import Any
 
 import _refdgs_native as native
@@ -35,6 +36,24 @@ def image_loss(
     Raises:
         ShapeError: sizes or types disagree, or target or weight asks for a gradient.
     """
+    return image_loss_and_error(
+        image, target, weight=weight, ssim_share=ssim_share, threads=threads
+    )[0]
+
+
+def image_loss_and_error(
+    image: Tensor,
+    target: Tensor,
+    *,
+    weight: Tensor | None = None,
+    ssim_share: float = 0.2,
+    threads: int | None = None,
+) -> tuple[Tensor, Tensor]:
+    """`image_loss` and, without gradient, the weighted mean of (image - target)^2.
+
+    Raises:
+        ShapeError: as `image_loss` has it.
+    """
     _check(image, target, weight)
     if not 0 <= ssim_share <= 1:
         raise ShapeError(f"ssim_share is {ssim_share}: give 0 to 1")
@@ -42,12 +61,17 @@ def image_loss(
         on_gpu: Tensor = cuda_fused.ImageLoss.apply(  # type: ignore[no-untyped-call]
             image, target, weight, ssim_share
         )
-        return on_gpu
+        return on_gpu, _squared_error(image.detach(), target, weight)
     count = threads or torch.get_num_threads()
-    loss: Tensor = _ImageLoss.apply(  # type: ignore[no-untyped-call]
+    pair: tuple[Tensor, Tensor] = _ImageLoss.apply(  # type: ignore[no-untyped-call]
         image, target, weight, ssim_share, count
     )
-    return loss
+    return pair
+
+
+def _squared_error(image: Tensor, target: Tensor, weight: Tensor | None) -> Tensor:
+    each = (image - target).square().mean(-1)
+    return each.mean() if weight is None else (each * weight).sum() / weight.sum().clamp(min=1e-12)
 
 
 def ssim_map(image: Tensor, target: Tensor, *, threads: int | None = None) -> Tensor:
@@ -74,8 +98,8 @@ def ssim(image: Tensor, target: Tensor, *, threads: int | None = None) -> float:
     _check(image, target, None)
     if not image.numel():
         raise ShapeError(f"image is {tuple(image.shape)}: the mean of nothing has no value")
-    sums = _run(image, target, None, (0.0, 0.0), threads or torch.get_num_threads())
-    return sums[1] / image.numel()
+    _, similarity, _ = _run(image, target, None, (0.0, 0.0), threads or torch.get_num_threads())
+    return similarity / image.numel()
 
 
 def _run(
@@ -87,14 +111,14 @@ def _run(
     *,
     gradient: Tensor | None = None,
     ssim: Tensor | None = None,
-) -> tuple[float, float]:
-    """Weighted sums of |image - target| and of SSIM; fills `gradient` and `ssim`, (C, H, W)."""
+) -> tuple[float, float, float]:
+    """Weighted sums of |image - target|, SSIM and squares; fills `gradient`, `ssim`, (C, H, W)."""
     if cuda.on_gpu(image):
         each = image.new_ones(1)
         l1, similarity = cuda_fused.compare(image, target, weight, each, scales, ssim=ssim).tolist()
-        return l1, similarity
+        return l1, similarity, math.nan  # nobody asks for squares here
     run = native.image_loss_float if image.dtype == torch.float32 else native.image_loss_double
-    sums: tuple[float, float] = run(
+    sums: tuple[float, float, float] = run(
         list(image.shape),
         image.data_ptr(),
         list(image.stride()),
@@ -115,7 +139,7 @@ class _ImageLoss(torch.autograd.Function):
     @staticmethod
     def forward(
         ctx: Any, image: Tensor, target: Tensor, weight: Tensor | None, share: float, threads: int
-    ) -> Tensor:
+    ) -> tuple[Tensor, Tensor]:
         weight = None if weight is None else weight.contiguous()
         height, width, channels = image.shape
         total = (height * width if weight is None else float(weight.sum())) * channels
@@ -123,10 +147,12 @@ class _ImageLoss(torch.autograd.Function):
         scales = ((1 - share) * each, -share * each)
         needed = ctx.needs_input_grad[0]
         gradient = image.new_empty(channels, height, width) if needed else None
-        l1, similarity = _run(image, target, weight, scales, threads, gradient=gradient)
+        l1, similarity, squares = _run(image, target, weight, scales, threads, gradient=gradient)
         ctx.gradient = gradient
         constant = share if total > 0 else 0.0
-        return image.new_tensor(constant + scales[0] * l1 + scales[1] * similarity)
+        error = image.new_tensor(each * squares)
+        ctx.mark_non_differentiable(error)
+        return image.new_tensor(constant + scales[0] * l1 + scales[1] * similarity), error
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:

@@ -13,26 +13,30 @@ from refdgs_pipe.ops.checks import check_alike
 
 HIDDEN = 64
 MAX_INPUTS = 32
+MAX_TABLES = 4
 MAX_OUTPUTS = 4
 MAX_HIDDEN_LAYERS = 8
+MOST_KEPT = 64 << 20  # pairs of hidden values: 256 MiB, about 700,000 points of three layers
 
 
 def mlp(
-    x: Tensor,
+    x: Tensor | Sequence[Tensor],
     weights: Sequence[Tensor],
     biases: Sequence[Tensor],
     *,
     exp_cap: float | None = None,
     half: bool = False,
     threads: int | None = None,
+    limit: Tensor | None = None,
 ) -> Tensor:
     """Hidden layers of 64 with ReLU, then a linear layer, then exp(min(y, exp_cap)) if asked for.
 
-    Nothing is kept for the backward pass but x and the result: hidden values are computed again.
-    Above the cap a gradient passes only if it lowers the result, as `clip` has it.
+    With float products nothing is kept for the backward pass but x and the result: hidden values
+    are computed again. As bfloat16 numbers they are kept, 128 bytes a point and layer, if that is
+    at most 256 MiB. Above the cap a gradient passes only if it lowers the result, as `clip` has it.
 
     Args:
-        x: (P, inputs), at most 32 inputs, any strides.
+        x: (P, inputs), at most 32 inputs, any strides; or several such or (P,), side by side.
         weights: as `torch.nn.Linear` has them: (64, inputs), (64, 64)..., (outputs, 64); at least
             one hidden layer and at most 8, and at most 4 outputs.
         biases: (64,)..., (outputs,).
@@ -40,6 +44,8 @@ def mlp(
             twice as fast, good to about 3 digits. The first and the last layer's outputs are
             multiplied as they are. No difference for doubles, and none on a GPU.
         threads: default torch's; the result does not depend on it.
+        limit: (1,) int64 on a GPU: no more than the first that many rows are looked at there, and
+            what is made of the others has no meaning.
 
     Returns:
         (P, outputs)
@@ -47,15 +53,20 @@ def mlp(
     Raises:
         ShapeError: sizes or types that must agree do not, or exceed these limits.
     """
-    _check(x, weights, biases)
-    if cuda.on_gpu(x):
+    tables = [x] if isinstance(x, Tensor) else [t if t.ndim > 1 else t[:, None] for t in x]
+    _check(tables, weights, biases)
+    if cuda.on_gpu(tables[0]):
         on_gpu: Tensor = cuda_fused.Mlp.apply(  # type: ignore[no-untyped-call]
-            x, exp_cap, *weights, *biases
+            torch.cat(tables, 1) if len(tables) > 1 else tables[0],
+            exp_cap,
+            limit,
+            *weights,
+            *biases,
         )
         return on_gpu
     count = threads or torch.get_num_threads()
     result: Tensor = _Mlp.apply(  # type: ignore[no-untyped-call]
-        x, exp_cap, half, count, *weights, *biases
+        exp_cap, half, count, len(tables), *tables, *weights, *biases
     )
     return result
 
@@ -63,39 +74,53 @@ def mlp(
 class _Mlp(torch.autograd.Function):
     @staticmethod
     def forward(
-        ctx: Any, x: Tensor, exp_cap: float | None, half: bool, threads: int, *parameters: Tensor
+        ctx: Any, exp_cap: float | None, half: bool, threads: int, count: int, *tensors: Tensor
     ) -> Tensor:
-        parameters = tuple(t.contiguous() for t in parameters)
-        layers = len(parameters) // 2
-        outputs = len(parameters[-1])
-        out = x.new_empty(len(x), outputs)
-        ctx.shape = [*x.shape, layers - 1, outputs, half]
-        ctx.cap, ctx.threads = [] if exp_cap is None else [exp_cap], threads
-        run = native.mlp_float if x.dtype == torch.float32 else native.mlp_double
-        run(*_call(ctx, x, parameters), out.data_ptr())
-        ctx.save_for_backward(x, out, *parameters)
+        tables, parameters = tensors[:count], tuple(t.contiguous() for t in tensors[count:])
+        layers, outputs = len(parameters) // 2, len(parameters[-1])
+        points, inputs = len(tables[0]), sum(t.shape[1] for t in tables)
+        out = tables[0].new_empty(points, outputs)
+        ctx.shape = [points, inputs, layers - 1, outputs, half]
+        ctx.cap, ctx.threads, ctx.count = [] if exp_cap is None else [exp_cap], threads, count
+        single, needed = out.dtype == torch.float32, any(ctx.needs_input_grad)
+        numbers = native.mlp_kept(ctx.shape) if single and needed else 0
+        ctx.kept = None
+        if 0 < numbers <= MOST_KEPT:
+            ctx.kept = torch.empty(numbers, dtype=torch.int32)
+        run = native.mlp_float if single else native.mlp_double
+        run(*_call(ctx, tables, parameters), out.data_ptr())
+        ctx.save_for_backward(out, *tables, *parameters)
         return out
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
-        x, out, *parameters = ctx.saved_tensors
+        out, *tensors = ctx.saved_tensors
+        tables, parameters = tensors[: ctx.count], tensors[ctx.count :]
         v_out = grads[0].contiguous()
-        v_x = x.new_empty(x.shape) if ctx.needs_input_grad[0] else None
+        needed = ctx.needs_input_grad[4 : 4 + ctx.count]
+        v_tables = [t.new_empty(t.shape) for t in tables]
         v_parameters = [torch.empty_like(t) for t in parameters]
-        run = native.mlp_bwd_float if x.dtype == torch.float32 else native.mlp_bwd_double
+        run = native.mlp_bwd_float if out.dtype == torch.float32 else native.mlp_bwd_double
         run(
-            *_call(ctx, x, parameters),
+            *_call(ctx, tables, parameters),
             out.data_ptr(),
             v_out.data_ptr(),
-            0 if v_x is None else v_x.data_ptr(),
+            [_table(t) for t in v_tables] if any(needed) else [],
             *_addresses(v_parameters),
         )
-        return v_x, None, None, None, *v_parameters
+        wanted = [v if need else None for v, need in zip(v_tables, needed, strict=True)]
+        return None, None, None, None, *wanted, *v_parameters
 
 
-def _call(ctx: Any, x: Tensor, parameters: Sequence[Tensor]) -> tuple[Any, ...]:
+def _call(ctx: Any, tables: Sequence[Tensor], parameters: Sequence[Tensor]) -> tuple[Any, ...]:
+    kept = 0 if ctx.kept is None else ctx.kept.data_ptr()
     where = _addresses(parameters)
-    return ctx.shape, x.data_ptr(), list(x.stride()), *where, ctx.cap, ctx.threads
+    return ctx.shape, [_table(t) for t in tables], *where, ctx.cap, kept, ctx.threads
+
+
+def _table(tensor: Tensor) -> tuple[int, list[int]]:
+    """Address, strides of rows and columns, number of columns."""
+    return tensor.data_ptr(), [*tensor.stride(), tensor.shape[1]]
 
 
 def _addresses(parameters: Sequence[Tensor]) -> tuple[list[int], list[int]]:
@@ -103,9 +128,15 @@ def _addresses(parameters: Sequence[Tensor]) -> tuple[list[int], list[int]]:
     return addresses[: len(addresses) // 2], addresses[len(addresses) // 2 :]
 
 
-def _check(x: Tensor, weights: Sequence[Tensor], biases: Sequence[Tensor]) -> None:
-    if x.ndim != 2 or not 1 <= x.shape[1] <= MAX_INPUTS:
-        raise ShapeError(f"x is {tuple(x.shape)}: give (P, inputs) with 1 to {MAX_INPUTS} inputs")
+def _check(tables: Sequence[Tensor], weights: Sequence[Tensor], biases: Sequence[Tensor]) -> None:
+    shapes = " and ".join(str(tuple(t.shape)) for t in tables)
+    fits = 1 <= len(tables) <= MAX_TABLES and all(t.ndim == 2 for t in tables)
+    total = sum(t.shape[1] for t in tables) if fits else 0
+    if not 1 <= total <= MAX_INPUTS or len({len(t) for t in tables}) != 1:
+        raise ShapeError(
+            f"x is {shapes or 'empty'}: give (P, inputs) with 1 to {MAX_INPUTS} inputs, "
+            f"in at most {MAX_TABLES} tensors"
+        )
     layers = len(weights)
     if len(biases) != layers or not 2 <= layers <= MAX_HIDDEN_LAYERS + 1:
         raise ShapeError(
@@ -114,7 +145,7 @@ def _check(x: Tensor, weights: Sequence[Tensor], biases: Sequence[Tensor]) -> No
         )
     named = []
     for index, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
-        inputs = x.shape[1] if index == 0 else HIDDEN
+        inputs = total if index == 0 else HIDDEN
         last = index == layers - 1
         outputs = weight.shape[0] if last and weight.ndim == 2 else HIDDEN
         if tuple(weight.shape) != (outputs, inputs) or not 1 <= outputs <= HIDDEN:
@@ -125,4 +156,4 @@ def _check(x: Tensor, weights: Sequence[Tensor], biases: Sequence[Tensor]) -> No
         if tuple(bias.shape) != (outputs,):
             raise ShapeError(f"biases[{index}] is {tuple(bias.shape)}: give ({outputs},)")
         named += [(f"weights[{index}]", weight), (f"biases[{index}]", bias)]
-    check_alike(("x", x), *named)
+    check_alike(*[("x", t) for t in tables], *named)

@@ -37,6 +37,8 @@ def draw(
     extra: Extra,
     normals: bool,
     threads: int,
+    absolute: bool,
+    needed: Tensor | None,
 ) -> Maps:
     """Rasterise on the CPU; inputs are checked by `rasterize`."""
     n = len(features)
@@ -52,6 +54,8 @@ def draw(
         extra,
         normals,
         threads,
+        absolute,
+        needed,
         statistics,
     )
     return maps_of(parts, statistics, extra, normals)
@@ -72,7 +76,8 @@ class _Frame:
 class _Rasterize(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, *args: Any) -> tuple[Tensor, ...]:
-        *tensors, camera, extra, normals, threads, statistics = args
+        *tensors, camera, extra, normals, threads, absolute, needed, statistics = args
+        ctx.needed = None if needed is None else needed.contiguous()  # backward reads it too
         inputs = [t.detach().contiguous() for t in tensors[:5]]
         n, channels = inputs[4].shape
         dtype = inputs[0].dtype
@@ -91,6 +96,8 @@ class _Rasterize(torch.autograd.Function):
             EXTRAS[extra],
             normals,
             threads,
+            absolute,
+            0 if needed is None else ctx.needed.data_ptr(),
             planes.data_ptr(),
             statistics.radii.data_ptr(),
         )
@@ -130,4 +137,4 @@ class _Rasterize(torch.autograd.Function):
         if ctx.needs_input_grad[5]:
             pose = torch.zeros_like(ctx.pose)
             pose[:3] = v_pose.to(ctx.pose.dtype)
-        return (*out, pose, None, None, None, None, None)
+        return (*out, pose, *[None] * 7)

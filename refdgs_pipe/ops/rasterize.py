@@ -11,6 +11,7 @@ from torch import Tensor
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.errors import ShapeError
 from refdgs_pipe.ops import cuda
+from refdgs_pipe.ops.plan import Plan
 
 Extra = Literal["none", "depth", "distortion"]
 EXTRAS = {"none": 0, "depth": 1, "distortion": 2}  # as the native functions number them
@@ -131,7 +132,10 @@ def rasterize(
     *,
     extra: Extra = "none",
     normals: bool = False,
+    needed: Tensor | None = None,
+    absolute: bool = True,
     threads: int | None = None,
+    plan: Plan | None = None,
 ) -> Maps:
     """Render surfels and their features, front to back (2D Gaussian Splatting, Huang et al. 2024).
 
@@ -144,20 +148,35 @@ def rasterize(
     Args:
         features: (N, C) what to blend; C <= 20, or 17 with normals.
         extra: which of the depth maps to make.
+        needed: (H, W) bool, pixels that will be looked at, or None for all. What the maps hold
+            elsewhere is not defined, and a gradient from there counts for nothing: the CPU leaves
+            these pixels empty, a GPU draws them.
+        absolute: false: `ScreenStatistics` goes without the second of its gradients, which the CPU
+            then leaves 0, for speed.
         threads: default torch's; of the CPU.
+        plan: room for the tiles' lists on a GPU, which then nothing waits for.
 
     Raises:
         ShapeError: sizes or types that must agree do not.
         DeviceError: the tensors are on a device that this build has no kernels for.
     """
     _check(surfels, features, camera, normals)
+    if needed is not None and (needed.dtype, tuple(needed.shape)) != (
+        torch.bool,
+        (camera.height, camera.width),
+    ):
+        raise ShapeError(
+            f"needed is {tuple(needed.shape)} of {needed.dtype}: give {camera.height} rows of "
+            f"{camera.width} torch.bool"
+        )
     if cuda.on_gpu(surfels.means):
         from refdgs_pipe.ops import cuda_rasterize
 
-        return cuda_rasterize.draw(surfels, features, camera, extra, normals)
+        return cuda_rasterize.draw(surfels, features, camera, extra, normals, plan)
     from refdgs_pipe.ops.native import draw
 
-    return draw(surfels, features, camera, extra, normals, threads or torch.get_num_threads())
+    count = threads or torch.get_num_threads()
+    return draw(surfels, features, camera, extra, normals, count, absolute, needed)
 
 
 def _check(surfels: Surfels, features: Tensor, camera: Pinhole, normals: bool) -> None:

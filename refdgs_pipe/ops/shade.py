@@ -10,7 +10,19 @@ from torch import Tensor
 from refdgs_pipe.errors import ShapeError
 from refdgs_pipe.ops import addresses, cuda, cuda_shade
 from refdgs_pipe.ops.checks import check_alike
+from refdgs_pipe.ops.plan import Plan
 from refdgs_pipe.ops.rasterize import Pinhole
+
+
+def covered_pixels(alpha: Tensor, least: float, plan: Plan | None = None) -> Tensor:
+    """(P,) int64, row * W + column, ascending: the pixels where alpha (H, W) is above `least`.
+
+    Without a plan a GPU is waited for. With one, P is the planned room and the rest is -1, which
+    stands for no pixel in everything that takes `pixels`: what is made there counts for nothing.
+    """
+    if plan is not None and cuda.on_gpu(alpha):
+        return cuda_shade.covered_pixels(alpha.detach(), least, plan)
+    return torch.nonzero(alpha.detach().reshape(-1) > least).flatten()
 
 
 def shading_inputs(
@@ -30,7 +42,7 @@ def shading_inputs(
         alpha: (H, W) sums of w, above 0 at `pixels`.
         normal: (H, W, 3) sums of w n, world.
         near: (H, W, 4) local reflection features, or None.
-        pixels: (P,) int64, row * W + column, ascending.
+        pixels: (P,) of `covered_pixels`.
         camera: constant: its pose gets no gradient.
         threads: default torch's; the result does not depend on it.
 
@@ -78,7 +90,7 @@ def composite(
 
     Args:
         diffuse, radiance: (P, 3) linear, any strides.
-        pixels: (P,) int64, row * W + column, ascending; elsewhere the object is black.
+        pixels: (P,) of `covered_pixels`; elsewhere the object is black.
         object_alpha, alpha: (H, W).
         backdrop: (3,) sRGB, constant.
         behind: (H, W, 3) sRGB, premultiplied, or None.
@@ -114,9 +126,10 @@ def normal_agreement(
     camera: Pinhole,
     *,
     edge: float = math.inf,
+    weight: float = 1.0,
     threads: int | None = None,
 ) -> Tensor:
-    """Mean of alpha (1 - n . n_depth) over pixels with four neighbours; a scalar.
+    """`weight` times the mean of alpha (1 - n . n_depth) over pixels with four neighbours.
 
     Pixels at an edge of the depth count as 0: there a surface ends in front of another, and
     agreement would close the gap between the two.
@@ -141,10 +154,10 @@ def normal_agreement(
         on_gpu: Tensor = cuda_shade.NormalAgreement.apply(  # type: ignore[no-untyped-call]
             normal, depth, alpha, camera, edge
         )
-        return on_gpu
+        return weight * on_gpu
     count = threads or torch.get_num_threads()
     loss: Tensor = _NormalAgreement.apply(  # type: ignore[no-untyped-call]
-        normal, depth, alpha, camera, edge, count
+        normal, depth, alpha, camera, edge, weight, count
     )
     return loss
 
@@ -278,10 +291,11 @@ class _NormalAgreement(torch.autograd.Function):
         alpha: Tensor,
         camera: Pinhole,
         edge: float,
+        weight: float,
         threads: int,
     ) -> Tensor:
         height, width = alpha.shape
-        scale = 1.0 / ((height - 2) * (width - 2))
+        scale = weight / ((height - 2) * (width - 2))
         grads: list[Tensor] = []
         if any(ctx.needs_input_grad):
             grads = [alpha.new_empty(channels, height, width) for channels in (3, 1, 1)]
@@ -300,5 +314,5 @@ class _NormalAgreement(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *v: Tensor) -> tuple[Tensor | None, ...]:
         scale = float(v[0])
-        v_normal, v_depth, v_alpha = (g * scale for g in ctx.grads)
-        return v_normal.permute(1, 2, 0), v_depth[0], v_alpha[0], None, None, None
+        v_normal, v_depth, v_alpha = (g if scale == 1 else g * scale for g in ctx.grads)
+        return v_normal.permute(1, 2, 0), v_depth[0], v_alpha[0], *[None] * 4

@@ -25,6 +25,7 @@ def sph_mip(
     *,
     min_level: float = 0.0,
     threads: int | None = None,
+    limit: Tensor | None = None,
 ) -> Tensor:
     """Trilinear lookups in a lat-long map and its box-averaged mips (Ref-GS, Ref-DGS).
 
@@ -41,6 +42,8 @@ def sph_mip(
         roughness: (P,) in 0..1.
         min_level: the finest level that is used.
         threads: default torch's; the result does not depend on it.
+        limit: (1,) int64 on a GPU: no more than the first that many rows are looked at there, and
+            what is made of the others has no meaning.
 
     Returns:
         (P, 4) features.
@@ -51,7 +54,7 @@ def sph_mip(
     _check(base, directions, roughness, min_level)
     if cuda.on_gpu(base):
         on_gpu: Tensor = cuda_fused.SphMip.apply(  # type: ignore[no-untyped-call]
-            base, directions, roughness, mip_levels(*base.shape[:2]), min_level
+            base, directions, roughness, mip_levels(*base.shape[:2]), min_level, limit
         )
         return on_gpu
     count = threads or torch.get_num_threads()

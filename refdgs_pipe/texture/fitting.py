@@ -30,7 +30,6 @@ _WHITE, _SILVER = 0.8, 0.9
 # The swing of the reflections over that of the light lies between these from plastic to metal.
 _PLASTIC, _METAL = 0.2, 0.4
 _OPEN = 0.6  # what sees less of the sky says little about how bright it is
-_MATTE = 0.3  # what mirrors less of its radiance than this share of the diffuse
 _SPLIT_SMOOTHING = 4
 _BATCH = 50_000
 
@@ -142,7 +141,16 @@ class _Problem:
     def start(self, *, metal: bool) -> State:
         """A first guess: the light's unit from what is brightest, metal from what mirrors most."""
         count = len(self.mesh.vertices)
-        unit, share = self._unit(self.guess, metal=metal)
+        guess = Environment(self.guess)
+        mirrored = guess.mirrored(self.samples.mirrored, np.full(len(self.far), 0.2, np.float32))
+        far = self.far[:, None]
+        given, had = (self._filled(np.where(far, v, 0)) for v in (self.samples.specular, mirrored))
+        share = given.mean(1) / np.maximum(had.mean(1), 1e-4)
+        unit = max(
+            self._white_unit(guess),
+            _heavy_median(share, given.mean(1)) / _SILVER if metal else 0.0,
+            _LEAST_LIGHT / max(float(self.guess.mean()), 1e-6),
+        )
         metallic = np.clip((share / unit - 0.06) / 0.5, 0.05, 0.9) if metal else np.zeros(count)
         state = State(
             np.maximum(self.guess.reshape(-1, 3) * np.float32(unit), 0.01),
@@ -154,36 +162,14 @@ class _Problem:
         )
         return self._lit(state)
 
-    def _unit(self, light: F32, *, metal: bool) -> tuple[float, F32]:
-        """The factor that a picture of the light needs: the largest of three lower bounds.
-
-        Returns:
-            It, and (V,) the share of this light that each vertex was seen to mirror.
-        """
-        around = Environment(light)
-        mirrored = around.mirrored(self.samples.mirrored, np.full(len(self.far), 0.2, np.float32))
-        far = self.far[:, None]
-        given, had = (self._filled(np.where(far, v, 0)) for v in (self.samples.specular, mirrored))
-        share = given.mean(1) / np.maximum(had.mean(1), 1e-4)
-        unit = max(
-            self._white_unit(around, given.mean(1)),
-            _heavy_median(share, given.mean(1)) / _SILVER if metal else 0.0,
-            _LEAST_LIGHT / max(float(light.mean()), 1e-6),
-        )
-        return unit, share
-
-    def _white_unit(self, guess: Environment, mirrored: F32) -> float:
-        """The factor of the guess under which hardly any diffuse colour is brighter than white.
-
-        What mirrors much has no diffuse colour to speak of, only the mean of its reflections.
-        """
+    def _white_unit(self, guess: Environment) -> float:
+        """The factor of the guess under which hardly any diffuse colour is brighter than white."""
         diffuse = self._filled(self.samples.diffuse).mean(1)
         nothing = np.zeros_like(self.sent)
         far = self.sky.received(guess, nothing).mean(1)
         dark = Environment(np.zeros_like(self.guess))
         near = self.sky.received(dark, self.sent).mean(1)
         seen = (np.asarray(self.corners.sum(0)).reshape(-1) > 1) & (self.sky.openness > _OPEN)
-        seen &= mirrored < _MATTE * diffuse
         if not seen.any():
             return 0.0
         needed = (diffuse / _WHITE - near) / np.maximum(far, 1e-4)
@@ -200,13 +186,9 @@ class _Problem:
 
         A surface sends light * reflectance, so over the views of one place the deviation of what
         it sends is that of the light that it mirrors, times its reflectance. This needs no
-        correct normal: a wrong one mirrors other light, but light that varies as much. The
-        light's unit is bounded again first, for its picture is better now than at the start.
+        correct normal: a wrong one mirrors other light, but light that varies as much.
         """
-        picture = state.light.reshape(self.height, -1, 3)
-        picture = picture * np.float32(self._unit(picture, metal=True)[0])
-        state = replace(state, light=picture.reshape(-1, 3))
-        around = Environment(picture)
+        around = Environment(state.light.reshape(self.height, -1, 3))
         rough = np.asarray(self.corners @ state.roughness, np.float32)
         mirrored = around.mirrored(self.samples.mirrored, rough)
         mirrored = np.where(self.far[:, None], mirrored, self.near)

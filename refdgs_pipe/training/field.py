@@ -9,6 +9,7 @@ from torch import Tensor
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.surfel_field import ShaderModel, SurfelField, SurfelSet
 from refdgs_pipe.ops import Pinhole
+from refdgs_pipe.ops.cuda import sent
 from refdgs_pipe.training import initial
 from refdgs_pipe.training.photos import TrainingPhoto
 from refdgs_pipe.training.reflection import Shader
@@ -27,6 +28,7 @@ HULL_OPACITY = 0.5
 BALL_OPACITY = 0.1
 LOCAL_OPACITY = 0.1
 BACKGROUND_OPACITY = 0.1
+FAINT = 0.05  # what starts as faint as 0.1 is pruned below this at most
 BALL_MARGIN = 1.1  # object surfels may stray this far, in ball radii
 LARGEST = 0.1  # surfels larger than this share of the extent go
 
@@ -62,10 +64,11 @@ class TrainableField:
         self.most_local = max(params.local_surfels, min(params.max_local_surfels, round(most / 2)))
         rng = np.random.default_rng(params.seed)
         self.rates = self._rates()
+        self.faintest = params.prune_opacity
         self.geometry = self._set(self._geometry(model, photos, masked, rng))
         self.local: TrainableSet | None = None
         self.shader: Shader | None = None
-        self.shader_optimizer: list[torch.optim.Optimizer] = []
+        self.shader_optimizer: list[torch.optim.Adam] = []
         if params.reflection:
             self.shader = Shader(
                 params.environment_height,
@@ -113,6 +116,8 @@ class TrainableField:
         if masked and p.start != "ball" and all(photo.mask is not None for photo in photos):
             cloud = _hull_cloud(p, model, photos, rng)
             opacity = p.start_opacity if p.start == "volume" else HULL_OPACITY
+        if cloud is None or p.start == "volume":
+            self.faintest = min(self.faintest, FAINT)
         if cloud is None:
             cloud, opacity = initial.ball_cloud(model.ball, p.surfels, rng), BALL_OPACITY
             inside = self._inside(torch.from_numpy(model.points)).numpy()
@@ -174,7 +179,7 @@ class TrainableField:
         if self.background is not None:
             pose = camera.cam_from_world
             center = -pose[:3, :3].T @ pose[:3, 3]
-            towards = self.background.raw["means"].detach() - center.to(self.device)
+            towards = self.background.raw["means"].detach() - sent(center, self.device)
             towards = towards / towards.norm(dim=-1, keepdim=True)
             background_rgb = sh_color(self.background.raw["sh"], towards)
         return Scene(
@@ -191,30 +196,52 @@ class TrainableField:
             shader=self.shader if fraction >= self.reflect_from else None,
         )
 
-    def observe(self, picture: Picture, width: int) -> None:
-        """Collect densification statistics after the backward pass, per half image width."""
+    def observe(self, picture: Picture, width: int, misfit: Tensor | None = None) -> None:
+        """Collect densification statistics after the backward pass, per half image width.
+
+        Args:
+            misfit: () 1 where the picture is not what it should be, see `Plan`.
+        """
         statistics, n = picture.maps.statistics, len(self.geometry)
         pull = statistics.gradients[:, 0] * (width / 2)
-        self.geometry.observe(pull[:n], statistics.radii[:n])
+        seen = statistics.radii > 0
+        fits = True if misfit is None else misfit == 0
+        self.geometry.observe(pull[:n], seen[:n] & fits)
         if self.background is not None:
-            self.background.observe(pull[n:], statistics.radii[n:])
+            self.background.observe(pull[n:], seen[n:] & fits)
         if self.local is not None and picture.local_statistics is not None:
             local = picture.local_statistics
-            self.local.observe(local.gradients[:, 0] * (width / 2), local.radii)
+            self.local.observe(local.gradients[:, 0] * (width / 2), (local.radii > 0) & fits)
 
-    def step(self) -> None:
-        """One update of everything."""
-        step_all(self._sets(), self.shader_optimizer)
+    def step(self, misfit: Tensor | None = None) -> None:
+        """One update of everything; of nothing where `misfit` is 1."""
+        step_all(self._sets(), self.shader_optimizer, misfit)
 
-    def adapt(self, iteration: int, rng: torch.Generator) -> None:
-        """Densify and prune when it is time."""
+    def adapts(self, iteration: int) -> bool:
+        """Whether it is time to densify and prune, or to reset opacities."""
+        return self._densifies(iteration) or self._resets(iteration)
+
+    def _densifies(self, iteration: int) -> bool:
         p = self.params
         begin, end = p.densify_from * p.iterations, p.densify_until * p.iterations
-        if not begin < iteration < end or iteration % p.densify_every:
+        return begin < iteration < end and iteration % p.densify_every == 0
+
+    def _resets(self, iteration: int) -> bool:
+        p = self.params
+        every = round(p.reset_every * p.iterations)
+        return every > 0 and iteration % every == 0 and iteration <= p.densify_until * p.iterations
+
+    def adapt(self, iteration: int, rng: torch.Generator) -> None:
+        """Densify and prune, and reset opacities, each when it is time."""
+        p = self.params
+        if self._resets(iteration):
+            for group in self._sets():
+                group.reset_opacities()
+        if not self._densifies(iteration):
             return
         size = p.split_size * self.extent
         rules = DensityRules(
-            p.densify_gradient, size, LARGEST * self.extent, p.prune_opacity, self.most
+            p.densify_gradient, size, LARGEST * self.extent, self.faintest, self.most
         )
         densify(self.geometry, rules, self._inside(self.geometry.raw["means"].detach()), rng)
         if self.local is not None and iteration > p.local_from * p.iterations + p.densify_every:
@@ -226,9 +253,8 @@ class TrainableField:
             densify(self.local, local, near, rng)
         if self.background is not None:
             means = self.background.raw["means"].detach()
-            rules = DensityRules(
-                p.densify_gradient, size, math.inf, p.prune_opacity, p.background_surfels
-            )
+            opacity = min(p.prune_opacity, FAINT)
+            rules = DensityRules(p.densify_gradient, size, math.inf, opacity, p.background_surfels)
             densify(self.background, rules, ~self._inside(means, 1.0), rng)
 
     def _sets(self) -> list[TrainableSet]:

@@ -4,12 +4,6 @@ import torch
 from torch import Tensor
 
 
-def mask_entropy(alpha: Tensor, mask: Tensor) -> Tensor:
-    """Mean binary cross-entropy of the alpha map against a soft mask."""
-    a = alpha.clamp(1e-4, 1 - 1e-4)
-    return -(mask * torch.log(a) + (1 - mask) * torch.log(1 - a)).mean()
-
-
 def normal_smoothness(normal: Tensor, diffuse: Tensor, depth: Tensor, alpha: Tensor) -> Tensor:
     """Mean |gradient of n|, damped at diffuse and depth edges but not at reflection edges."""
 

@@ -22,6 +22,7 @@ class TrainingPhoto:
         rgb: (3, H, W) uint8 sRGB, straight.
         mask: (H, W) uint8, or None.
         valid: (H, W) bool, or None when all are.
+        held: (2, K) rows and columns of pixels that are measured and never trained on, or None.
     """
 
     camera: Camera
@@ -29,12 +30,14 @@ class TrainingPhoto:
     rgb: Tensor
     mask: Tensor | None
     valid: Tensor | None
+    held: Tensor | None = None
 
     def to(self, device: str) -> "TrainingPhoto":
         """The photo with its pixels on a device; the camera stays."""
         mask = None if self.mask is None else self.mask.to(device)
         valid = None if self.valid is None else self.valid.to(device)
-        return replace(self, rgb=self.rgb.to(device), mask=mask, valid=valid)
+        held = None if self.held is None else self.held.to(device)
+        return replace(self, rgb=self.rgb.to(device), mask=mask, valid=valid, held=held)
 
 
 def load_training_photos(
@@ -121,15 +124,6 @@ def area_weights(large: int, small: int) -> Tensor:
     begin = torch.maximum(edges[:-1, None], old)
     end = torch.minimum(edges[1:, None], old + 1)
     return ((end - begin).clamp(min=0) * (small / large)).float()
-
-
-def composited(photo: TrainingPhoto, backdrop: Tensor) -> Tensor:
-    """(H, W, 3) float target over a backdrop (3,); photos without a mask as they are."""
-    rgb = photo.rgb.permute(1, 2, 0).float() / 255
-    if photo.mask is None:
-        return rgb
-    m = (photo.mask.float() / 255)[..., None]
-    return rgb * m + (1 - m) * backdrop
 
 
 def _bytes(image: NDArray[np.float32]) -> NDArray[np.uint8]:

@@ -33,7 +33,12 @@ class Shader(nn.Module):
 
 
 def specular(
-    shader: Shader, reflected: Tensor, roughness: Tensor, cosine: Tensor, near: Tensor | None
+    shader: Shader,
+    reflected: Tensor,
+    roughness: Tensor,
+    cosine: Tensor,
+    near: Tensor | None,
+    limit: Tensor | None = None,
 ) -> Tensor:
     """(P, 3) linear specular radiance (Ref-DGS).
 
@@ -41,14 +46,15 @@ def specular(
         reflected: (P, 3) unit, where the mirrored view ray goes.
         roughness, cosine: (P,).
         near: (P, 4) local reflection features, or None.
+        limit: see `ops.mlp`.
     """
-    far = sph_mip(shader.environment, reflected, roughness)
+    far = sph_mip(shader.environment, reflected, roughness, limit=limit)
     parts = [far]
     if shader.local != "none":
         near = torch.zeros_like(far) if near is None else near
         parts = [far + near] if shader.mixing == "sum" else [far, near]
     if shader.physical:
-        parts += [roughness[:, None], cosine[:, None]]
+        parts += [roughness, cosine]
     weights, biases = list(shader.weights), list(shader.biases)
-    x = torch.cat(parts, -1)
-    return mlp(x, weights, biases, exp_cap=RADIANCE_EXPONENT, half=shader.half_products)
+    half = shader.half_products
+    return mlp(parts, weights, biases, exp_cap=RADIANCE_EXPONENT, half=half, limit=limit)

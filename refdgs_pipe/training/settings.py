@@ -58,7 +58,7 @@ class TrainParams(Params):
     surfels: int = Field(20_000, ge=100, le=2_000_000, description="geometry surfels at the start")
     max_surfels: int = Field(60_000, ge=100, le=5_000_000, description="geometry surfels at most")
     surfels_per_pixel: float = Field(
-        0.67,
+        1.5,
         gt=0,
         le=100,
         description="geometry surfels at most, and twice the local ones, for each pixel that the "
@@ -86,11 +86,24 @@ class TrainParams(Params):
         description="mean screen gradient (loss per half image width) to densify at",
     )
     split_size: float = Field(
-        0.01, gt=0, le=1, description="surfels larger than this are split, in scene extents"
+        0.003, gt=0, le=1, description="surfels larger than this are split, in scene extents"
     )
-    prune_opacity: float = Field(0.05, ge=0, lt=1, description="surfels fainter than this go")
+    prune_opacity: float = Field(
+        0.2,
+        ge=0,
+        lt=1,
+        description="surfels fainter than this go; 0.05 at most where they start faint",
+    )
     local_prune_opacity: float = Field(
         0.01, ge=0, lt=1, description="local surfels fainter than this go"
+    )
+
+    reset_every: float = Field(
+        0.0,
+        ge=0,
+        le=1,
+        description="fraction of the run after which opacities are reset to 0.01, again and again "
+        "until densify_until; 0: never",
     )
 
     rate_means: float = Field(
@@ -110,6 +123,17 @@ class TrainParams(Params):
     )
     anneal_to: float = Field(0.05, gt=0, le=1, description="share of the steps left at the end")
 
+    patience: float = Field(
+        0.0,
+        ge=0,
+        le=1,
+        description="fraction of the run without gain on held-out pixels after which the rest up "
+        "to anneal_from is left out; 0 = hold nothing out and never",
+    )
+    patience_tolerance: float = Field(
+        0.05, ge=0, le=10, description="dB on held-out pixels that count as a gain"
+    )
+
     ssim_share: float = Field(0.2, ge=0, le=1, description="share of 1 - SSIM in the image loss")
     mask_weight: float = Field(
         0.1, ge=0, le=10, description="weight of the alpha's cross-entropy against masks"
@@ -124,7 +148,10 @@ class TrainParams(Params):
         description="normals need not agree where the depth bends by more pixel footprints",
     )
     distortion_weight: float = Field(
-        0.0, ge=0, le=1e6, description="weight of the depth distortion"
+        4.0,
+        ge=0,
+        le=1e6,
+        description="weight of the depth distortion, of 1 / depth in units of the nearest camera's",
     )
     smooth_weight: float = Field(
         0.0,

@@ -8,9 +8,11 @@ from torch import Tensor
 from refdgs_pipe.ops import (
     Maps,
     Pinhole,
+    Plan,
     ScreenStatistics,
     Surfels,
     composite,
+    covered_pixels,
     rasterize,
     shading_inputs,
 )
@@ -51,8 +53,8 @@ class Picture:
         image: (H, W, 3) sRGB, composited over the given colour.
         maps: of geometry and, with a background set, of everything in front of infinity.
         object_alpha: (H, W) of the object alone.
-        pixels: (P,) that were shaded; there carried diffuse (P, 3) and roughness (P,), and
-            radiance (P, 3), linear.
+        pixels: (P,) of `covered_pixels`, which were shaded; there carried diffuse (P, 3) and
+            roughness (P,), and radiance (P, 3), linear.
         local_statistics: of the local reflection surfels, if there were any.
     """
 
@@ -93,8 +95,9 @@ class Picture:
 
     def _spread(self, values: Tensor) -> Tensor:
         height, width = self.object_alpha.shape
-        flat = values.new_zeros(height * width, values.shape[1])
-        return flat.index_copy(0, self.pixels, values).reshape(height, width, -1)
+        flat = values.new_zeros(height * width + 1, values.shape[1])
+        places = torch.where(self.pixels < 0, height * width, self.pixels)  # of no pixel: past all
+        return flat.index_copy(0, places, values)[:-1].reshape(height, width, -1)
 
 
 def sh_color(sh: Tensor, directions: Tensor) -> Tensor:
@@ -144,23 +147,26 @@ def draw(
     *,
     extra: Extra = "depth",
     turntable: bool = False,
+    plan: Plan | None = None,
 ) -> Picture:
     """Render one view (method: Ref-DGS; colour = diffuse + specular, deferred per pixel).
 
     Args:
         backdrop: (3,) sRGB colour behind everything.
         turntable: the light is fixed to the camera, not to the world.
+        plan: room for a GPU's lists; without it, the GPU is waited for.
     """
     surfels, values = _concatenated(scene)
-    maps = rasterize(surfels, values, camera, extra=extra, normals=True)
-    near, local_statistics = _near_features(scene, camera, maps)
+    maps = rasterize(surfels, values, camera, extra=extra, normals=True, absolute=False, plan=plan)
     object_alpha, behind = maps.alpha, None
     if scene.background is not None:
         inside_at = values.shape[1] - 4
         object_alpha, behind = maps.features[..., inside_at], maps.features[..., inside_at + 1 :]
     assert maps.normal is not None
-    # on a GPU this waits for the maps: the number of covered pixels shapes what follows
-    pixels = torch.nonzero(object_alpha.detach().reshape(-1) > SHADED_ALPHA).flatten()
+    shaded = object_alpha.detach() > SHADED_ALPHA
+    near, local_statistics = _near_features(scene, camera, maps, shaded, plan)
+    pixels = covered_pixels(object_alpha, SHADED_ALPHA, plan)
+    limit = None if plan is None else plan.last()
     diffuse, roughness, reflected, cosine, near = shading_inputs(
         maps.features, object_alpha, maps.normal, near, pixels, camera
     )
@@ -169,21 +175,27 @@ def draw(
     if scene.shader is None:
         radiance = diffuse.new_zeros(len(pixels), 3)
     else:
-        radiance = specular(scene.shader, reflected, roughness, cosine, near)
+        radiance = specular(scene.shader, reflected, roughness, cosine, near, limit)
     image = composite(diffuse, radiance, pixels, object_alpha, maps.alpha, backdrop, behind)
     carried = (diffuse, roughness)
     return Picture(image, maps, object_alpha, pixels, carried, radiance, local_statistics)
 
 
 def _near_features(
-    scene: Scene, camera: Pinhole, maps: Maps
+    scene: Scene, camera: Pinhole, maps: Maps, shaded: Tensor, plan: Plan | None
 ) -> tuple[Tensor | None, ScreenStatistics | None]:
-    """(H, W, 4) local reflection features, premultiplied: an empty pixel means no near light."""
+    """(H, W, 4) local reflection features, premultiplied: an empty pixel means no near light.
+
+    Args:
+        shaded: (H, W) bool; other pixels are of no interest.
+    """
     if scene.shader is None or scene.shader.local == "none":
         return None, None
     if scene.shared_features is not None:
         return maps.features[..., 4:8], None
     if scene.local is None or scene.local_features is None:
         return None, None
-    local = rasterize(scene.local, scene.local_features, camera)
+    local = rasterize(
+        scene.local, scene.local_features, camera, needed=shaded, absolute=False, plan=plan
+    )
     return local.features, local.statistics

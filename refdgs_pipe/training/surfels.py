@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from refdgs_pipe.artifacts.surfel_field import SurfelSet
-from refdgs_pipe.ops import Surfels, reference
+from refdgs_pipe.ops import Surfels, cuda, reference
+from refdgs_pipe.ops.cuda_adam import adam_step
 
+_RESET_OPACITY = math.log(0.01 / 0.99)  # raw
 _EPSILON = 1e-15  # of Adam, as the method has it: gradients per surfel are tiny
 
 
@@ -57,9 +59,8 @@ class TrainableSet:
             if group["name"] == name:
                 group["lr"] = rate
 
-    def observe(self, gradients: Tensor, radii: Tensor) -> None:
-        """Add one view's screen gradients (N,) for the surfels it drew."""
-        seen = radii > 0
+    def observe(self, gradients: Tensor, seen: Tensor) -> None:
+        """Add one view's screen gradients (N,) for the surfels it drew, `seen` (N,) bool."""
         self.gradient_sum += torch.where(seen, gradients, 0.0)
         self.seen += seen
 
@@ -90,6 +91,15 @@ class TrainableSet:
             group["params"][0] = new
             self.raw[name] = new
         self._reset_statistics()
+
+    def reset_opacities(self) -> None:
+        """Fade what is more opaque than 0.01 to that, so that the photos choose anew (3DGS)."""
+        raw = self.raw["raw_opacities"]
+        with torch.no_grad():
+            raw.clamp_(max=_RESET_OPACITY)
+        for moment in ("exp_avg", "exp_avg_sq"):
+            if moment in self.optimizer.state.get(raw, {}):
+                self.optimizer.state[raw][moment].zero_()
 
     def state(self) -> dict[str, Tensor]:
         """Everything needed to continue, as named tensors."""
@@ -207,10 +217,21 @@ def densify(group: TrainableSet, rules: DensityRules, keep: Tensor, rng: torch.G
 
 
 def step_all(
-    groups: Iterable[TrainableSet | None], modules: Iterable[torch.optim.Optimizer]
+    groups: Iterable[TrainableSet | None],
+    modules: Iterable[torch.optim.Adam],
+    misfit: Tensor | None = None,
 ) -> None:
-    """One optimiser step of everything, gradients cleared."""
+    """One optimiser step of everything, gradients cleared.
+
+    Args:
+        misfit: () on a GPU; where it is 1 nothing changes.
+    """
     optimizers = [g.optimizer for g in groups if g is not None and len(g)]
-    for optimizer in [*optimizers, *modules]:
-        optimizer.step()
+    optimizers += modules
+    if optimizers and cuda.on_gpu(optimizers[0].param_groups[0]["params"][0]):
+        adam_step(optimizers, misfit)
+    else:
+        for optimizer in optimizers:
+            optimizer.step()
+    for optimizer in optimizers:
         optimizer.zero_grad(set_to_none=True)

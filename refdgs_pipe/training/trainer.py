@@ -1,10 +1,10 @@
 """The optimisation of a Ref-DGS field, resumable at any step."""
 
-import itertools
 import json
 import math
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,23 +15,43 @@ from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.surfel_field import SurfelField
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.errors import Cancelled, TrainingError
-from refdgs_pipe.ops import image_loss, normal_agreement
+from refdgs_pipe.ops import (
+    Later,
+    Plan,
+    composited,
+    image_loss_and_error,
+    mask_entropy,
+    normal_agreement,
+)
+from refdgs_pipe.ops.cuda import sent
 from refdgs_pipe.ops.native import keep_freed_memory
+from refdgs_pipe.ops.plan import Asked
 from refdgs_pipe.ops.rasterize import Extra
 from refdgs_pipe.training import losses
 from refdgs_pipe.training.checkpoint import read_checkpoint, write_checkpoint
 from refdgs_pipe.training.coverage import coverage
 from refdgs_pipe.training.field import TrainableField
-from refdgs_pipe.training.photos import TrainingPhoto, composited, load_training_photos, shrunk
+from refdgs_pipe.training.photos import TrainingPhoto, load_training_photos, shrunk
+from refdgs_pipe.training.plateau import Plateau, hold_out
 from refdgs_pipe.training.settings import TrainParams
 from refdgs_pipe.training.shading import Picture, draw
+from refdgs_pipe.training.work import share_behind
+
+
+@dataclass(frozen=True)
+class Moment:
+    """What makes a step what it is, so that it can be done again."""
+
+    iteration: int
+    fraction: float  # of the schedule
+    photo: TrainingPhoto
+    backdrop: Tensor
+
 
 Progress = Callable[[int, int, str, float], None]  # step, steps, figures, share of the work
 CHECKPOINT_SECONDS = 30.0
 REPORT_STEPS = 10
 COVERAGE_VIEWS = 6
-# What a step costs, measured on the scenes of docs/performance.md, in parts of a full one
-PIXEL_COST, SURFEL_COST, REFLECT_COST, LOCAL_COST = 0.3, 0.2, 0.35, 0.15
 NEAR = 0.02  # of the distance of the nearest camera to the ball's centre
 
 
@@ -67,12 +87,17 @@ class Trainer:
         self.field = TrainableField(
             params, model, photos, masked=self.masked, near=self.near, device=device
         )
+        if params.patience > 0:
+            photos = hold_out(photos, params.seed)
         self.full = [photo.to(device) for photo in photos]
+        self.plateau = Plateau(params, photos, self.field.reflect_from)
+        self.skipped = 0  # steps of the schedule that were left out
         self.scales: dict[float, list[TrainingPhoto]] = {1.0: self.full}
         self.iteration = 0
         self.loss, self.psnr = math.nan, math.nan
         self.curve: list[tuple[int, float, float]] = []
-        self._unread: list[tuple[int, Tensor]] = []  # steps with their loss and squared error
+        self.plan = None if device == "cpu" else Plan(device)
+        self._later: Later[tuple[Moment, Asked]] = Later(device)  # loss, squared errors, needs
 
     def run(self, progress: Progress) -> SurfelField:
         """Train to the end, or until `progress` raises; a checkpoint is kept either way.
@@ -82,24 +107,51 @@ class Trainer:
             Cancelled: `progress` raised it; the next run continues from here.
         """
         self._resume()
-        total = self.params.iterations
         saved = time.monotonic()
         try:
-            while self.iteration < total:
+            while self.position < self.params.iterations:
                 self.step()
-                if self.iteration % REPORT_STEPS == 0:
-                    self._read()
+                last = self.position == self.params.iterations
+                if self.iteration % REPORT_STEPS == 0 or last:
+                    if self.params.patience > 0:
+                        self._skip_a_plateau()
                     count = len(self.field.geometry)
                     note = f"loss {self.loss:.4f}  PSNR {self.psnr:.2f} dB  {count} surfels"
-                    progress(self.iteration, total, note, self._work())
+                    total = self.params.iterations - self.skipped
+                    progress(self.iteration, total, note, self._behind())
                 if time.monotonic() - saved > CHECKPOINT_SECONDS:
                     self.save()
                     saved = time.monotonic()
         except Cancelled:
             self.save()
             raise
-        self._read()
+        self._read(all_of_them=True)
         return self.field.freeze()
+
+    @property
+    def position(self) -> int:
+        """The step of the schedule, of `iterations`: those that were taken or left out."""
+        return self.iteration + self.skipped
+
+    def _skip_a_plateau(self) -> None:
+        """Once held-out pixels get no better, go on where rates begin to shrink."""
+        p = self.params
+        tail = math.ceil(p.anneal_from * p.iterations)
+        self._read(all_of_them=True)  # or it would depend on when figures arrive
+        if self.position < tail and self.plateau.reached(self.position / p.iterations):
+            self.skipped = tail - self.position
+
+    @property
+    def early(self) -> str | None:
+        """Why the run is shorter than asked for, if it is."""
+        if not self.skipped:
+            return None
+        p, plateau = self.params, self.plateau
+        return (
+            f"{self.skipped} of {p.iterations} steps left out: held-out pixels, {plateau.best:.2f} "
+            f"dB at step {round(plateau.best_at * p.iterations)}, gained less than "
+            f"{p.patience_tolerance:g} dB in {p.patience:.0%} of the run"
+        )
 
     def coverage(self, field: SurfelField) -> float:
         """How much of the object the field shows, over a few training photos; see `coverage`."""
@@ -115,24 +167,38 @@ class Trainer:
 
     def step(self) -> None:
         """One photo, one gradient, one update."""
-        p, i = self.params, self.iteration
-        fraction = i / p.iterations
+        fraction = self.position / self.params.iterations
         photo = self._photo(fraction)
-        self.field.set_rates(fraction)
         backdrop = torch.rand(3, generator=self.rng) if self.masked else torch.zeros(3)
-        backdrop = backdrop.to(self.device)
-        extra: Extra = "distortion" if p.distortion_weight > 0 else "depth"
-        picture = draw(
-            self.field.scene(photo.pinhole, fraction), photo.pinhole, backdrop, extra=extra
-        )
-        target = composited(photo, backdrop)
-        loss = self._loss(picture, photo, target)
-        loss.backward()  # type: ignore[no-untyped-call]
-        self._note(loss, picture.image, target)
-        self.field.observe(picture, photo.pinhole.width)
-        self.field.step()
+        self._update(Moment(self.iteration, fraction, photo, sent(backdrop, self.device)))
         self.iteration += 1
-        self.field.adapt(self.iteration, self.rng)
+        adapts = self.field.adapts(self.position)
+        self._read(all_of_them=adapts)
+        if adapts:
+            self.field.adapt(self.position, self.rng)
+            if self.plan is not None:
+                self.plan.settle()
+
+    def _update(self, moment: Moment) -> None:
+        p, photo, plan = self.params, moment.photo, self.plan
+        self.field.set_rates(moment.fraction)
+        if plan is not None:
+            plan.begin()
+        extra: Extra = "distortion" if p.distortion_weight > 0 else "depth"
+        scene = self.field.scene(photo.pinhole, moment.fraction)
+        picture = draw(scene, photo.pinhole, moment.backdrop, extra=extra, plan=plan)
+        target = composited(photo.rgb, photo.mask, moment.backdrop)
+        loss, error = self._loss(picture, photo, target)
+        loss.backward()  # type: ignore[no-untyped-call]
+        misfit = None if plan is None else plan.misfit
+        self.field.observe(picture, photo.pinhole.width, misfit)
+        self.field.step(misfit)
+        held = self._held_error(photo, picture.image, target)
+        figures = torch.stack([loss.detach(), error, held])
+        if plan is None:
+            self._later.send((moment, []), figures)
+        else:
+            self._later.send((moment, plan.asked()), figures, plan.needed)
 
     def _photo(self, fraction: float) -> TrainingPhoto:
         """A random photo at the scale of this moment."""
@@ -143,73 +209,92 @@ class Trainer:
         pick = int(torch.randint(len(self.full), (1,), generator=self.rng))
         return self.scales[scale][pick]
 
-    def _loss(self, picture: Picture, photo: TrainingPhoto, target: Tensor) -> Tensor:
+    def _loss(
+        self, picture: Picture, photo: TrainingPhoto, target: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """What is minimised, and the mean squared error of the picture."""
         p, maps = self.params, picture.maps
         valid = None if photo.valid is None else photo.valid.float()
-        loss = image_loss(picture.image, target, weight=valid, ssim_share=p.ssim_share)
+        loss, error = image_loss_and_error(
+            picture.image, target, weight=valid, ssim_share=p.ssim_share
+        )
+        # weights go in, so that backward has nothing to scale
         if photo.mask is not None and p.mask_weight > 0:
-            loss = loss + p.mask_weight * losses.mask_entropy(maps.alpha, photo.mask.float() / 255)
+            loss = loss + mask_entropy(maps.alpha, photo.mask, weight=p.mask_weight)
         if p.normal_weight > 0 and maps.normal is not None and maps.depth is not None:
-            loss = loss + p.normal_weight * normal_agreement(
-                maps.normal, maps.depth, maps.alpha, photo.pinhole, edge=p.normal_edge
+            loss = loss + normal_agreement(
+                maps.normal,
+                maps.depth,
+                maps.alpha,
+                photo.pinhole,
+                edge=p.normal_edge,
+                weight=p.normal_weight,
             )
         if p.smooth_weight > 0:
             loss = loss + p.smooth_weight * losses.normal_smoothness(
                 picture.normal, picture.diffuse, picture.depth, maps.alpha
             )
         if maps.distortion is not None:
-            loss = loss + p.distortion_weight * maps.distortion.mean()
-        return loss
+            relative = maps.distortion.mean() / NEAR**2  # it is measured in near / depth
+            loss = loss + p.distortion_weight * relative
+        return loss, error
 
-    def _note(self, loss: Tensor, image: Tensor, target: Tensor) -> None:
-        """Keep the step's figures; on a GPU they are read later, so that nothing waits for them."""
-        with torch.no_grad():
-            error = (image - target).square().mean()
-        self._unread.append((self.iteration, torch.stack([loss.detach(), error])))
-        if self.device == "cpu":
-            self._read()
+    @staticmethod
+    def _held_error(photo: TrainingPhoto, image: Tensor, target: Tensor) -> Tensor:
+        """The mean squared error of held-out pixels, NaN where there are none."""
+        if photo.held is None:
+            return target.new_full((), math.nan)
+        rows, columns = photo.held
+        return (image.detach()[rows, columns] - target[rows, columns]).square().mean()
 
-    def _read(self) -> None:
+    def _read(self, *, all_of_them: bool = False) -> None:
+        """Take in the figures of steps that are through, some steps later on a GPU.
+
+        A step whose lists had no room has changed nothing, and is done again with more.
+        """
+        while arrived := self._later.arrived(all_of_them=all_of_them):
+            again = []
+            for (moment, asked), (figures, *needed) in arrived:
+                if self.plan is None or self.plan.learn(asked, *needed):
+                    self._note(moment, *figures.tolist())
+                else:
+                    again.append(moment)
+            for moment in again:
+                self._update(moment)
+
+    def _note(self, moment: Moment, value: float, error: float, held: float) -> None:
         """Running figures; a loss that is not finite ends the run at the last good checkpoint."""
-        if not self._unread:
-            return
-        steps, figures = zip(*self._unread, strict=True)
-        self._unread.clear()
-        for step, (value, error) in zip(steps, torch.stack(figures).tolist(), strict=True):
-            if not math.isfinite(value):
-                raise TrainingError(
-                    f"training diverged at step {step + 1}: the loss is {value}. The last good "
-                    "checkpoint is kept; lower train.rate_means or change train.seed and run again"
-                )
-            psnr = -10 * math.log10(max(error, 1e-10))
-            keep = 0.98 if math.isfinite(self.loss) else 0.0
-            self.loss = value if not keep else keep * self.loss + (1 - keep) * value
-            self.psnr = psnr if not keep else keep * self.psnr + (1 - keep) * psnr
-            if step % 50 == 0:
-                self.curve.append((step, self.loss, self.psnr))
+        step = moment.iteration
+        if not math.isfinite(value):
+            raise TrainingError(
+                f"training diverged at step {step + 1}: the loss is {value}. The last good "
+                "checkpoint is kept; lower train.rate_means or change train.seed and run again"
+            )
+        psnr = -10 * math.log10(max(error, 1e-10))
+        keep = 0.98 if math.isfinite(self.loss) else 0.0
+        self.loss = value if not keep else keep * self.loss + (1 - keep) * value
+        self.psnr = psnr if not keep else keep * self.psnr + (1 - keep) * psnr
+        if math.isfinite(held):
+            self.plateau.note(moment.photo.camera.name, held, moment.fraction)
+        if step % 50 == 0:
+            self.curve.append((step, self.loss, self.psnr))
 
-    def _work(self) -> float:
-        """The share of the run's time that should be behind, from what its phases cost."""
-        p = self.params
-        edges = sorted({0.0, 1.0, p.coarse_until, self.field.reflect_from, p.local_from})
-        now = self.iteration / p.iterations
-        behind = whole = 0.0
-        for start, end in itertools.pairwise(edge for edge in edges if edge <= 1):
-            pixels = p.coarse**2 if start < p.coarse_until else 1.0
-            cost = SURFEL_COST + PIXEL_COST * pixels
-            if p.reflection and start >= self.field.reflect_from:
-                cost += REFLECT_COST * pixels
-                cost += LOCAL_COST * pixels * (p.local == "dual" and start >= p.local_from)
-            whole += cost * (end - start)
-            behind += cost * max(0.0, min(end, now) - start)
-        return behind / whole
+    def _behind(self) -> float:
+        steps = self.params.iterations
+        skipped = self.skipped / steps
+        return share_behind(self.params, self.field.reflect_from, self.position / steps, skipped)
 
     def save(self) -> None:
         """Write the checkpoint; an older one is replaced only when the new one is complete."""
-        self._read()
+        self._read(all_of_them=True)
         tensors = {**self.field.state(), "rng": self.rng.get_state()}
-        figures = {"iteration": self.iteration, "loss": self.loss, "psnr": self.psnr}
-        write_checkpoint(self.scratch, tensors, json.dumps({**figures, "curve": self.curve}))
+        figures: dict[str, object] = {
+            "iteration": self.iteration,
+            "loss": self.loss,
+            "psnr": self.psnr,
+        }
+        figures |= {"skipped": self.skipped, "plateau": self.plateau.state(), "curve": self.curve}
+        write_checkpoint(self.scratch, tensors, json.dumps(figures))
 
     def _resume(self) -> None:
         found = read_checkpoint(self.scratch)
@@ -220,4 +305,6 @@ class Trainer:
         self.rng.set_state(tensors.pop("rng"))
         self.field.restore(tensors)
         self.iteration, self.loss, self.psnr = (figures[k] for k in ("iteration", "loss", "psnr"))
+        self.skipped = figures.get("skipped", 0)
+        self.plateau.restore(figures.get("plateau", {}))
         self.curve = [(int(a), float(b), float(c)) for a, b, c in figures["curve"]]

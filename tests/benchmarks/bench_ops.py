@@ -9,6 +9,7 @@ import statistics
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
+from typing import Any
 
 import pytest
 import torch
@@ -19,12 +20,15 @@ from refdgs_pipe.ops import (
     Pinhole,
     image_loss,
     mlp,
+    photo,
     reference_image_loss,
     reference_mlp,
+    reference_photo,
     reference_shade,
     reference_sph_mip,
     sph_mip,
 )
+from refdgs_pipe.ops.native import keep_freed_memory
 
 pytestmark = pytest.mark.benchmark
 ROUNDS = 7
@@ -32,6 +36,7 @@ ROUNDS = 7
 
 @pytest.fixture(autouse=True)
 def one_thread() -> Iterator[None]:
+    keep_freed_memory()  # as training does, for both sides
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     yield
@@ -74,6 +79,25 @@ def test_image_loss(size: int) -> None:
         with_backward(
             lambda p: reference_image_loss.image_loss(p.permute(1, 2, 0), target), planes
         ),
+    )
+
+
+@pytest.mark.parametrize("size", [400, 800])
+def test_photo(size: int) -> None:
+    """The target over a backdrop, and the mask's entropy of it, half of it soft."""
+    g = torch.Generator().manual_seed(0)
+    rgb = torch.randint(0, 256, (3, size, size), generator=g, dtype=torch.uint8)
+    mask = torch.randint(0, 256, (size, size), generator=g, dtype=torch.uint8)
+    backdrop, alpha = torch.rand(3, generator=g), torch.rand(size, size, generator=g)
+    alpha.requires_grad_()
+
+    def loss_of(of: Any) -> Callable[..., Tensor]:
+        return lambda a: of.mask_entropy(a, mask) + of.composited(rgb, mask, backdrop)[0, 0, 0]
+
+    compare(
+        f"target and mask's entropy {size}x{size}",
+        with_backward(loss_of(photo), alpha),
+        with_backward(loss_of(reference_photo), alpha),
     )
 
 

@@ -90,11 +90,12 @@ def test_blender_gives_both_splits_their_poses_and_a_removed_background(
 
 def test_blender_lists_only_the_files_it_names_and_their_truth(root: Path) -> None:
     write_blender(root)
-    (root / "test" / "r_0_albedo.png").write_bytes(b"")
+    for stem in ("r_0_albedo", "r_0_noise"):
+        (root / "test" / f"{stem}.png").write_bytes(b"")
     names = [name for name, _ in Capture((root,)).files()]
     assert "train/r_0.png" in names and "transforms_test.json" in names
-    truth = [name for name in names if "normal" in name]
-    assert truth == ["test/r_0_normal.png", "train/r_0_normal.png"]
+    truth = [name for name in names if "normal" in name or "albedo" in name]
+    assert truth == ["test/r_0_albedo.png", "test/r_0_normal.png", "train/r_0_normal.png"]
     assert len(names) == 14 + len(truth)
 
 

@@ -1,16 +1,21 @@
 """Every operation on the GPU in float32 against the CPU in float64, and against itself.
 
-python tests/gpu/parity.py --out FILE [--device cuda|emulated] [--small]
+python tests/gpu/parity.py --out FILE [--device cuda|emulated] [--small] [--once] [--only CASE]
+
+FILE is written after every case. A case that fails on the GPU can take its context with it: then
+it is run again where every launch is waited for, to name the kernel, and the rest in a new process.
 """
 
 import argparse
-import itertools
+import faulthandler
 import json
+import os
+import subprocess
 import sys
 import time
+import traceback
 from collections.abc import Callable
 from contextlib import nullcontext
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +23,8 @@ import torch
 from torch import Tensor
 
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parent.parent)]
-from cases import Case, camera, cases  # noqa: E402
-
-from refdgs_pipe import ops  # noqa: E402
-from refdgs_pipe.ops import Pinhole, Surfels, rasterize  # noqa: E402
+from cases import cases  # noqa: E402
+from jobs import Run, drawing, fused  # noqa: E402
 
 LIMIT = 1e-4  # relative error by norm
 # Single rows (pixels, surfels) are beyond float32: a pixel at a cut-off falls on either side, a
@@ -30,137 +33,9 @@ LIMIT = 1e-4  # relative error by norm
 OUTLIERS = 0.003
 AS_GOOD = 3.0
 REPEATS = 3
-Named = dict[str, Tensor]
-Run = Callable[[torch.dtype, str], Named]  # type and device to outputs and gradients
-
-
-def weighted(parts: Named, seed: int = 5) -> Tensor:
-    """A random combination of outputs, the same for every type and device."""
-    total: Tensor | None = None
-    for k, value in enumerate(parts.values()):
-        g = torch.Generator().manual_seed(seed + k)
-        pull = (torch.rand(value.shape, generator=g) - 0.3).to(value)
-        term = (value * pull).sum()
-        total = term if total is None else total + term
-    assert total is not None
-    return total
-
-
-def pulled(inputs: Named, run: Callable[[Named], Named]) -> Named:
-    """Outputs, and the gradients of their combination by every input."""
-    leaves = {k: v.detach().clone().requires_grad_() for k, v in inputs.items()}
-    out = run(leaves)
-    weighted(out).backward()  # type: ignore[no-untyped-call]
-    grads = {f"d/d {k}": v.grad for k, v in leaves.items() if v.grad is not None}
-    return {k: v.detach() for k, v in {**out, **grads}.items()}
-
-
-def drawing(case: Case) -> Run:
-    """The rasteriser on a case."""
-    made, features = case.make()
-
-    def run(dtype: torch.dtype, device: str) -> Named:
-        inputs = {f.name: getattr(made, f.name).to(device, dtype) for f in fields(made)}
-        view = camera(*case.size)
-        # the pose stays on the CPU, as in training
-        inputs |= {"features": features.to(device, dtype), "pose": view.cam_from_world.to(dtype)}
-
-        def draw(leaves: Named) -> Named:
-            s = Surfels(*(leaves[f.name] for f in fields(Surfels)))
-            posed = Pinhole(leaves["pose"], *list(vars(view).values())[1:])
-            maps = rasterize(s, leaves["features"], posed, extra=case.extra, normals=case.normals)  # type: ignore[arg-type]
-            named = {f.name: getattr(maps, f.name) for f in fields(maps)}
-            return {k: v for k, v in named.items() if isinstance(v, Tensor)}
-
-        return pulled(inputs, draw)
-
-    return run
-
-
-def fused(*, small: bool) -> dict[str, Run]:
-    """The other operations."""
-    g = torch.Generator().manual_seed(11)
-
-    def random(*shape: int) -> Tensor:
-        return torch.rand(*shape, generator=g)
-
-    points, map_height = (150, 16) if small else (100_000, 256)
-    widths = [10, 64, 64, 64, 3]
-    net = {"x": 2 * random(points, 10) - 1}
-    for l, (a, b) in enumerate(itertools.pairwise(widths)):
-        net |= {f"w{l}": (random(b, a) - 0.5) * (6 / a) ** 0.5, f"b{l}": random(b) - 0.5}
-
-    def mlp(p: Named) -> Named:
-        layers = range(len(widths) - 1)
-        return {"out": ops.mlp(p["x"], [p[f"w{l}"] for l in layers], [p[f"b{l}"] for l in layers])}
-
-    encoding = {
-        "map": random(map_height, 2 * map_height, 4) - 0.5,
-        "directions": random(points, 3) - 0.5,
-        "roughness": random(points),
-    }
-
-    def sph_mip(p: Named) -> Named:
-        return {"features": ops.sph_mip(p["map"], p["directions"], p["roughness"])}
-
-    def loss(height: int, width: int) -> Run:
-        image, target, weight = (
-            random(height, width, 3),
-            random(height, width, 3),
-            random(height, width),
-        )
-
-        def run(dtype: torch.dtype, device: str) -> Named:
-            y, w = target.to(device, dtype), weight.to(device, dtype)
-            inputs = {"image": image.to(device, dtype)}
-            return pulled(inputs, lambda p: {"loss": ops.image_loss(p["image"], y, weight=w)})
-
-        return run
-
-    sizes = [(29, 37)] if small else [(1, 1), (5, 70), (217, 333), (800, 800)]
-    out = {
-        "network": _plain(net, mlp),
-        "Sph-Mip": _plain(encoding, sph_mip),
-        "shading": _shading((29, 37) if small else (217, 333), random),
-    }
-    return out | {f"image loss {w} x {h}": loss(h, w) for h, w in sizes}
-
-
-def _plain(inputs: Named, run: Callable[[Named], Named]) -> Run:
-    return lambda dtype, device: pulled({k: v.to(device, dtype) for k, v in inputs.items()}, run)
-
-
-def _shading(size: tuple[int, int], random: Callable[..., Tensor]) -> Run:
-    height, width = size
-    alpha = 0.1 + 0.8 * random(height, width)
-    inputs = {
-        "features": random(height, width, 6),
-        "alpha": alpha,
-        "normal": random(height, width, 3) - 0.5,
-        "near": random(height, width, 4) - 0.5,
-        "depth": (2 + random(height, width)) * alpha,
-        "radiance": random(height * width // 2, 3),
-        "behind": 0.2 * random(height, width, 3),
-    }
-    pixels, backdrop = torch.arange(0, height * width // 2 * 2, 2), random(3)
-    view = camera(width, height)
-
-    def shade(p: Named) -> Named:
-        there = pixels.to(p["alpha"].device)
-        diffuse, roughness, reflected, cosine, near = ops.shading_inputs(
-            p["features"], p["alpha"], p["normal"], p["near"], there, view
-        )
-        image = ops.composite(
-            diffuse, p["radiance"], there, 0.9 * p["alpha"], p["alpha"],
-            backdrop.to(p["alpha"]), p["behind"],
-        )  # fmt: skip
-        agreement = ops.normal_agreement(p["normal"], p["depth"], p["alpha"], view, edge=1e3)
-        assert near is not None
-        named = {"diffuse": diffuse, "roughness": roughness, "reflected": reflected}
-        named |= {"cosine": cosine, "near": near}
-        return named | {"image": image, "agreement": agreement * height * width}
-
-    return _plain(inputs, shade)
+HANGS = 60.0  # seconds after which the log says where a case hangs
+BEYOND = 1e30  # the error of what did not come to an end
+EXPLAINED = 2  # failures that are run again to name their kernel
 
 
 def error_of(found: Tensor, wanted: Tensor) -> tuple[float, float]:
@@ -175,11 +50,13 @@ def error_of(found: Tensor, wanted: Tensor) -> tuple[float, float]:
     return float(kept.norm()) / norm, float(rows.norm()) / norm
 
 
-def check(name: str, run: Run, device: str, on: Callable[[], Any]) -> list[dict[str, Any]]:
+def check(
+    name: str, run: Run, device: str, on: Callable[[], Any], repeats: int
+) -> list[dict[str, Any]]:
     """One row for each output and gradient."""
     wanted, usual = run(torch.float64, "cpu"), run(torch.float32, "cpu")
     found = []
-    for _ in range(REPEATS):
+    for _ in range(repeats):
         with on():
             found.append(run(torch.float32, device))
     rows = []
@@ -197,31 +74,84 @@ def check(name: str, run: Run, device: str, on: Callable[[], Any]) -> list[dict[
     return rows
 
 
+def failed(name: str, why: str) -> dict[str, Any]:
+    """The row of a case that raised."""
+    row = {"case": name, "output": "-", "error": BEYOND, "cpu float32": 0.0}
+    return {**row, "same every time": False, "ok": False, "why": why}
+
+
+def explained(name: str, options: argparse.Namespace) -> str:
+    """What a case says in a process of its own that waits for every launch."""
+    command = [sys.executable, __file__, "--only", name, "--once", "--out", os.devnull]
+    blocking = {**os.environ, "CUDA_LAUNCH_BLOCKING": "1"}
+    try:
+        done = subprocess.run(
+            [*command, *(["--small"] if options.small else [])],
+            env=blocking, capture_output=True, text=True, timeout=40, check=False,
+        )  # fmt: skip
+    except subprocess.TimeoutExpired:
+        return "alone, it does not end within 40 s"
+    return "alone: " + (done.stdout + done.stderr)[-700:]
+
+
 def main() -> int:
     parser = argparse.ArgumentParser()
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--device", default="cuda")
     parser.add_argument("--small", action="store_true")
+    parser.add_argument("--once", action="store_true", help="no repeats")
+    parser.add_argument("--only", help="this case alone")
+    parser.add_argument("--start", type=int, default=0, help="go on with this case")
     options = parser.parse_args()
     device, on = options.device, nullcontext
     if device == "emulated":
         from emulation import emulated
 
         device, on = "cpu", emulated
-    begin, rows = time.monotonic(), []
-    for case in cases(small=options.small):
-        rows += check(case.name, drawing(case), device, on)
-    for name, run in fused(small=options.small).items():
-        rows += check(name, run, device, on)
-    ok = all(row["ok"] for row in rows)
-    record = {"ok": ok, "limit": LIMIT, "seconds": time.monotonic() - begin, "rows": rows}
-    options.out.write_text(json.dumps(record, indent=1))
+    jobs = {case.name: drawing(case) for case in cases(small=options.small)}
+    jobs["random, planned"] = drawing(cases(small=options.small)[0], planned=True)
+    jobs |= fused(small=options.small)
+    begin, rows, spent = time.monotonic(), [], 0.0
+    if options.start:
+        record = json.loads(options.out.read_text())
+        rows, spent = record["rows"], record["seconds"]
+    for index, (name, run) in enumerate(jobs.items()):
+        if index < options.start or (options.only and name != options.only):
+            continue
+        print(f"{time.monotonic() - begin:6.1f} s  {name}", flush=True)
+        broken = None
+        faulthandler.dump_traceback_later(HANGS)
+        try:
+            rows += check(name, run, device, on, 1 if options.once else REPEATS)
+        except Exception as error:
+            traceback.print_exc()
+            broken = f"{type(error).__name__}: {error}"[:700]
+        faulthandler.cancel_dump_traceback_later()
+        if broken and device == "cuda" and not options.only:
+            if sum("why" in row for row in rows) < EXPLAINED:
+                broken += "\n" + explained(name, options)
+            print(broken, flush=True)
+        if broken:
+            rows.append(failed(name, broken))
+        seconds = spent + time.monotonic() - begin
+        record = {"ok": all(row["ok"] for row in rows), "limit": LIMIT, "seconds": seconds}
+        record |= {"cases": len(jobs), "rows": rows}
+        options.out.write_text(json.dumps(record, indent=1))
+        if broken and device == "cuda" and not options.only:
+            again = [__file__, *sys.argv[1:], "--start", str(index + 1)]
+            os.execv(sys.executable, [sys.executable, *again])
+    return verdict(rows)
+
+
+def verdict(rows: list[dict[str, Any]]) -> int:
+    """Says what is not as it should be; 1 if there is such."""
     for row in rows:
         if not row["ok"]:
             print("FAILED", row)
-    worst = max(row["error"] for row in rows)
-    verdict = "all" if ok else "NOT all"
-    print(f"{len(rows)} outputs, worst error {worst:.2e}, {verdict} as they should be")
+    ok = bool(rows) and all(row["ok"] for row in rows)
+    worst = max((row["error"] for row in rows), default=BEYOND)
+    all_of = "all" if ok else "NOT all"
+    print(f"{len(rows)} outputs, worst error {worst:.2e}, {all_of} as they should be")
     return 0 if ok else 1
 
 

@@ -11,7 +11,7 @@ from typing import Any
 STEPS = ("build", "doctor", "parity", "memcheck", "racecheck", "timing", "training")
 OPTIONAL = ("memcheck", "racecheck")  # a machine may not let a checker near its GPU
 
-IMPOSSIBLE = "not possible on this machine"
+IMPOSSIBLE, OUT_OF_TIME = "not possible on this machine", "out of time"
 
 
 def read(folder: Path) -> dict[str, Any]:
@@ -26,20 +26,25 @@ def read(folder: Path) -> dict[str, Any]:
         found: dict[str, Any] = {"exit code": int(code), "seconds": int(seconds)}
         log = folder / f"{step}.log"
         text = log.read_text(errors="replace") if log.exists() else ""
-        found["status"] = "ok" if code == "0" else "failed"
-        if step in OPTIONAL and "ERROR SUMMARY" not in text and "RACECHECK SUMMARY" not in text:
+        found["status"] = "ok" if code == "0" else OUT_OF_TIME if code == "124" else "failed"
+        if step in OPTIONAL and code != "124" and "SUMMARY" not in text:
             found["status"] = IMPOSSIBLE
         found["last words"] = text[-1500:]
         record = folder / f"{step}.json"
         if record.exists():
-            found["record"] = json.loads(record.read_text())
+            try:
+                found["record"] = json.loads(record.read_text())
+            except ValueError:
+                found["record"] = {"error": "cut off while it was written"}
         out[step] = found
     return out
 
 
 def _parity(record: dict[str, Any]) -> list[str]:
-    rows = record["rows"]
-    lines = ["| case | outputs | worst error | which | CPU float32 there | same bits | ok |"]
+    rows = record.get("rows", [])
+    done = len(dict.fromkeys(row["case"] for row in rows))
+    lines = [f"{done} of {record.get('cases', '?')} cases in {record.get('seconds', 0):.0f} s.", ""]
+    lines += ["| case | outputs | worst error | which | CPU float32 there | same bits | ok |"]
     lines.append("|---|---:|---:|---|---:|---|---|")
     for case in dict.fromkeys(row["case"] for row in rows):
         mine = [row for row in rows if row["case"] == case]
@@ -50,6 +55,7 @@ def _parity(record: dict[str, Any]) -> list[str]:
             f"| {case} | {len(mine)} | {worst['error']:.1e} | {worst['output']} | "
             f"{worst['cpu float32']:.1e} | {'yes' if same else 'NO'} | {'yes' if ok else 'NO'} |"
         )
+    lines += [f"\n{row['case']}: {row['why']}" for row in rows if "why" in row]
     above = [row for row in rows if row["ok"] and row["error"] > record["limit"]]
     for row in above:
         lines.append(
@@ -60,7 +66,10 @@ def _parity(record: dict[str, Any]) -> list[str]:
 
 
 def _timing(record: dict[str, Any]) -> list[str]:
-    lines = [f"Copies reach {record['GB/s']:.0f} GB/s, products {record['TFLOP/s']:.1f} TFLOP/s."]
+    if "rows" not in record:
+        return _facts(record)
+    lines = [f"* {problem}" for problem in record["problems"]]
+    lines += [f"Copies reach {record['GB/s']:.0f} GB/s, products {record['TFLOP/s']:.1f} TFLOP/s."]
     lines += ["", "| operation | ms | floor, ms | times the floor |", "|---|---:|---:|---:|"]
     for row in record["rows"]:
         lines.append(
@@ -98,7 +107,12 @@ def markdown(found: dict[str, Any]) -> str:
 def main() -> int:
     folder = Path(sys.argv[1])
     found = read(folder)
-    bad = [s for s, r in found.items() if r["status"] in ("failed", "not run")]
+    bad = [
+        s
+        for s, r in found.items()
+        if r["status"] in ("failed", "not run")
+        or (r["status"] == OUT_OF_TIME and s not in OPTIONAL)
+    ]
     (folder / "report.json").write_text(json.dumps({"ok": not bad, "steps": found}, indent=1))
     (folder / "report.md").write_text(markdown(found))
     print(markdown(found))

@@ -4,10 +4,11 @@
 #   tests/gpu/run_all.sh [-w WHEELS] [-s SCENE] [-o OUT] [-d cuda|emulated]
 #
 # WHEELS: a folder of wheels of small packages that are missing here (pydantic, pydantic-core, annotated-types,
-# typing-inspection; scipy, pillow, safetensors where they are missing too). SCENE: a NeRF-synthetic folder;
-# without one a procedural ball is trained. OUT: gets report.md, report.json and the logs [build/gpu-report].
-# -d emulated: a dry run of the steps that need no GPU, on the CPU and tiny.
-# Needs Python 3.11+ with torch, numpy, nanobind, pytest; cmake, ninja, nvcc 12.4+. At most 9 minutes.
+# typing-inspection; scipy, pillow, safetensors where they are missing too). A wheel of refdgs-pipe itself in it is used
+# where the build fails. SCENE: a NeRF-synthetic folder; without one a procedural ball is trained. OUT: gets report.md,
+# report.json and the logs [build/gpu-report]; the report is renewed after every step.
+# -d emulated: a dry run on the CPU and tiny: the build, parity of the emulated kernels, a training by the CPU's.
+# Needs Python 3.11+ with its headers, torch, numpy, nanobind, pytest; cmake, nvcc 12.4+. At most 9 minutes.
 set -u
 root=$(cd "$(dirname "$0")/../.." && pwd)
 wheels="" scene="" out="$root/build/gpu-report" device=cuda
@@ -21,9 +22,14 @@ while getopts "w:s:o:d:" flag; do
     esac
 done
 mkdir -p "$out" && out=$(cd "$out" && pwd) && rm -f "$out"/*.status "$out"/*.json "$out"/*.log || exit 73
-python=${PYTHON:-python3}
 total=${SECONDS_TOTAL:-525} # of nine minutes, some are left for the report
 started=$SECONDS
+
+python=$("${PYTHON:-python3}" -c 'import sys; print(sys.executable)') || exit 69
+for folder in "${CUDA_HOME:-/usr/local/cuda}/bin" "$(dirname "$python")"; do
+    [ -d "$folder" ] && PATH="$folder:$PATH"
+done
+export PATH PYTHONUNBUFFERED=1
 
 left() { echo $((total - (SECONDS - started))); }
 
@@ -39,42 +45,49 @@ step() {
     echo "== $name (at most $limit s)"
     timeout -k 10 "$limit" "$@" >"$out/$name.log" 2>&1
     local code=$?
+    [ "$code" = 137 ] && code=124
     echo "$code $((SECONDS - begin))" >"$out/$name.status"
     tail -n 3 "$out/$name.log"
+    "$python" "$root/tests/gpu/report.py" "$out" >"$out/report.log" 2>&1
     return $code
 }
 
+# What is missing here is unpacked beside the report; the native module goes to a place of its own.
 if [ -n "$wheels" ]; then
-    site="$out/site"
-    "$python" - "$wheels" <<'PYTHON' >"$out/wheels.txt"
-import importlib.util, pathlib, sys
-names = {"pydantic_core": "pydantic_core", "annotated_types": "annotated_types", "pillow": "PIL"}
-for wheel in sorted(pathlib.Path(sys.argv[1]).glob("*.whl")):
+    "$python" - "$wheels" "$out/site" "$out/prebuilt" <<'PYTHON' 2>&1 | tee "$out/wheels.log"
+import importlib.util, pathlib, sys, zipfile
+wheels, site, prebuilt = map(pathlib.Path, sys.argv[1:])
+modules = {"pillow": "PIL", "opencv_python_headless": "cv2"}
+for wheel in sorted(wheels.glob("*.whl")):
     name = wheel.name.split("-")[0].lower()
-    if importlib.util.find_spec(names.get(name, name)) is None:
-        print(wheel)
+    with zipfile.ZipFile(wheel) as archive:
+        if name == "refdgs_pipe":
+            archive.extractall(prebuilt, [n for n in archive.namelist() if n.startswith("_refdgs_native")])
+        elif importlib.util.find_spec(modules.get(name, name)) is None:
+            archive.extractall(site)
+            print("unpacked", wheel.name)
 PYTHON
-    if [ -s "$out/wheels.txt" ]; then
-        xargs -n 1 "$python" -m pip install -q --no-index --no-deps --no-compile --upgrade --target "$site" <"$out/wheels.txt"
-        export PYTHONPATH="$site${PYTHONPATH:+:$PYTHONPATH}"
-    fi
+    export PYTHONPATH="$out/site${PYTHONPATH:+:$PYTHONPATH}"
 fi
 
+emulator=OFF
+[ "$device" = emulated ] && emulator=ON
 build() {
-    local arch=${REFDGS_CUDA_ARCHS:-}
+    local arch=${REFDGS_CUDA_ARCHS:-} generator=()
+    if [ -z "$arch" ] && [ "$device" = emulated ]; then arch=90-real; fi
     if [ -z "$arch" ]; then
         arch=$("$python" -c 'import torch; print("%d%d-real" % torch.cuda.get_device_capability())') || return 1
     fi
-    cmake -S "$root/csrc" -B "$out/cmake" -G Ninja -DCMAKE_BUILD_TYPE=Release -DREFDGS_CUDA=ON \
-        -DREFDGS_CUDA_ARCHS="$arch" -DREFDGS_EMULATOR=OFF \
-        -DPython_EXECUTABLE="$("$python" -c 'import sys; print(sys.executable)')" \
+    command -v ninja >/dev/null && generator=(-G Ninja)
+    "$python" -c 'import os, sysconfig; h = os.path.join(sysconfig.get_path("include"), "Python.h"); print(h, os.path.exists(h))'
+    cmake -S "$root/csrc" -B "$out/cmake" "${generator[@]}" -DCMAKE_BUILD_TYPE=Release -DREFDGS_CUDA=ON \
+        -DREFDGS_CUDA_ARCHS="$arch" -DREFDGS_EMULATOR=$emulator -DPython_EXECUTABLE="$python" \
         -Dnanobind_DIR="$("$python" -m nanobind --cmake_dir)" &&
-        cmake --build "$out/cmake" -j "$(nproc)"
+        cmake --build "$out/cmake" -j "$(nproc)" &&
+        PYTHONPATH="$out/cmake" "$python" -c 'import _refdgs_native as n; print("built for", n.cuda_archs)'
 }
 export -f build
-export root out python
-# what was built comes before anything that is installed
-modules="$out/cmake"
+export root out python device emulator
 
 doctor() {
     "$python" - <<'PYTHON'
@@ -84,10 +97,11 @@ import _refdgs_native as native
 from refdgs_pipe.cli.device import cuda_problem
 problem = cuda_problem()
 record = {"ok": problem is None, "problem": problem, "torch": torch.__version__, "torch CUDA": torch.version.cuda,
-          "GPU": native.cuda_device(), "built for": native.cuda_archs, "module": native.__file__}
+          "GPU": native.cuda_device(), "built for": native.cuda_archs, "module": native.__file__,
+          "python": sys.version.split()[0], "cores": os.cpu_count()}
 json.dump(record, open(os.path.join(os.environ["out"], "doctor.json"), "w"))
 print(record)
-sys.exit(problem is not None)
+sys.exit(problem is not None and os.environ["device"] == "cuda")
 PYTHON
 }
 export -f doctor
@@ -96,31 +110,29 @@ checker() {
     local only=()
     compute-sanitizer --help 2>&1 | grep -q -- --kernel-regex && only=(--kernel-regex kns=refdgs)
     compute-sanitizer --tool "$1" "${only[@]}" --error-exitcode 9 \
-        "$python" "$root/tests/gpu/parity.py" --small --out "$out/$1-parity.json"
+        "$python" "$root/tests/gpu/parity.py" --small --once --out "$out/$1-parity.json"
 }
 export -f checker
 
-small=()
-[ "$device" = emulated ] && small=(--small)
-if [ "$device" = cuda ]; then
-    step build 200 bash -c build
-    export PYTHONPATH="$modules:$root${PYTHONPATH:+:$PYTHONPATH}"
-    step doctor 60 bash -c doctor
-else
-    export PYTHONPATH="$root${PYTHONPATH:+:$PYTHONPATH}"
+small=() tiny=()
+if [ "$device" = emulated ]; then
+    small=(--small)
+    tiny=(--device cpu --side 48 --iterations 6 --surfels 500)
 fi
+step build "${BUILD_SECONDS:-200}" bash -c build
+# what was built comes before anything that is installed, and the wheel's module after it
+built="$out/cmake"
+[ "$(cut -d' ' -f1 "$out/build.status")" = 0 ] || built="$out/prebuilt"
+export PYTHONPATH="$built:$root${PYTHONPATH:+:$PYTHONPATH}"
+step doctor 120 bash -c doctor
 step parity 150 "$python" "$root/tests/gpu/parity.py" --device "$device" "${small[@]}" --out "$out/parity.json"
 step timing 90 "$python" "$root/tests/gpu/timing.py" --device "$device" "${small[@]}" --out "$out/timing.json"
-tiny=()
-[ "$device" = emulated ] && tiny=(--device cpu --side 48 --iterations 6 --surfels 500)
 # the checkers come last and have a minute each; the training has what is left of the rest
 room=$(($(left) - 130))
 step training $((room > 30 ? room : 30)) "$python" "$root/tests/gpu/training.py" ${scene:+--scene "$scene"} \
-    --seconds $((room > 70 ? room - 60 : 20)) "${tiny[@]}" --out "$out/training.json"
-if [ "$device" = cuda ]; then
-    if command -v compute-sanitizer >/dev/null; then
-        step memcheck 65 bash -c 'checker memcheck'
-        step racecheck 60 bash -c 'checker racecheck'
-    fi
+    --seconds $((room > 90 ? room - 80 : 20)) "${tiny[@]}" --out "$out/training.json"
+if [ "$device" = cuda ] && command -v compute-sanitizer >/dev/null; then
+    step memcheck 65 bash -c 'checker memcheck'
+    step racecheck 60 bash -c 'checker racecheck'
 fi
 "$python" "$root/tests/gpu/report.py" "$out"

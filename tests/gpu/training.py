@@ -23,6 +23,7 @@ sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parent.parent)]
 import scene as scenery  # noqa: E402
 
 from refdgs_pipe.metrics import psnr  # noqa: E402
+from refdgs_pipe.ops import cuda_fused  # noqa: E402
 from refdgs_pipe.training.render import render_image  # noqa: E402
 from refdgs_pipe.training.settings import TrainParams  # noqa: E402
 from refdgs_pipe.training.trainer import NEAR, Trainer  # noqa: E402
@@ -103,7 +104,7 @@ def main() -> int:
             print(f"{trainer.iteration} steps, {seconds[trainer.iteration]} s", flush=True)
     synchronize(options.device)
     train_s, steps = time.monotonic() - begin, trainer.iteration
-    trainer._read()
+    trainer._read(all_of_them=True)
     field = trainer.field.freeze()
     figures, times = [], []
     for camera, pixels in test:
@@ -112,6 +113,14 @@ def main() -> int:
         times.append(time.perf_counter() - start)
         alpha = pixels[..., 3:] / 255.0
         figures.append(psnr(image, pixels[..., :3] / 255.0 * alpha + (1 - alpha)))
+    steps_at_end = min(50, options.iterations)
+    planned = step_times(trainer, options.device, steps_at_end)
+    cuda_fused.TENSOR_CORES = False
+    by_fma = step_times(trainer, options.device, steps_at_end)
+    cuda_fused.TENSOR_CORES = True
+    trainer._read(all_of_them=True)
+    trainer.plan = None
+    waiting = step_times(trainer, options.device, steps_at_end)
     record: dict[str, Any] = {
         "ok": bool(same and math.isfinite(trainer.loss) and np.mean(figures) > 15),
         "same bits in two runs": same,
@@ -123,7 +132,9 @@ def main() -> int:
         "seconds": train_s,
         "seconds at step": seconds,
         "ms a step": 1e3 * train_s / max(1, steps),
-        "ms a step at the end": step_times(trainer, options.device, min(50, options.iterations)),
+        "ms a step at the end": planned,
+        "ms a step at the end, without tensor cores": by_fma,
+        "ms a step at the end, waiting for every list": waiting,
         "test PSNR": float(np.mean(figures)),
         "train PSNR": trainer.psnr,
         "loss": trainer.loss,

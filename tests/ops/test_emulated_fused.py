@@ -12,6 +12,8 @@ from ops import test_sph_mip as mips
 from torch import Tensor
 
 from refdgs_pipe import ops
+from refdgs_pipe.ops import cuda_fused
+from refdgs_pipe.ops.cuda_adam import adam_step
 
 
 def alike(
@@ -55,6 +57,12 @@ def test_image_loss_reads_any_strides_and_nothing_counts_for_nothing() -> None:
     alike(run)
 
 
+@pytest.fixture(params=[True, False], ids=["tensor cores", "multiply-adds"])
+def products(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cuda_fused, "TENSOR_CORES", request.param)
+
+
+@pytest.mark.usefixtures("products")
 @pytest.mark.parametrize("count", [0, 1, 63, 64, 200])
 @pytest.mark.parametrize("cap", [None, 0.5])
 def test_network(count: int, cap: float | None) -> None:
@@ -62,6 +70,7 @@ def test_network(count: int, cap: float | None) -> None:
     alike(lambda: networks.pulled(ops.mlp, x, *networks.network(), exp_cap=cap))
 
 
+@pytest.mark.usefixtures("products")
 @pytest.mark.parametrize(("inputs", "hidden", "outputs"), [(1, 1, 1), (32, 2, 4), (7, 4, 2)])
 def test_network_of_any_shape(inputs: int, hidden: int, outputs: int) -> None:
     net = networks.network(inputs, hidden, outputs)
@@ -129,6 +138,51 @@ def test_the_order_of_threads_changes_nothing(order: int) -> None:
         found = run()
     for a, b in zip(found, wanted, strict=True):
         assert torch.equal(a, b)
+
+
+def adam(dtype: torch.dtype, step: Callable[..., None]) -> list[Tensor]:
+    """Values and states after some steps of two optimisers, 34 tensors in all."""
+    g = torch.Generator().manual_seed(2)
+    sizes = [(1,), (3000, 3), (1024,), (0,), *[(5, 7)] * 30]
+    leaves = [torch.randn(*s, generator=g).to(dtype).requires_grad_() for s in sizes]
+    first = [{"params": [p], "lr": 0.01 * k} for k, p in enumerate(leaves[:3])]
+    made = [torch.optim.Adam(first, eps=1e-15), torch.optim.Adam(leaves[3:], lr=0.1, eps=1e-15)]
+    for turn in range(4):
+        for k, leaf in enumerate(leaves):
+            grad = (torch.randn(leaf.shape, generator=g) * 10.0 ** (k % 5 - 3)).to(dtype)
+            leaf.grad = None if k == 7 and turn < 2 else grad
+        step(made, turn)
+    states = [t for o in made for s in o.state.values() for t in s.values()]
+    return [p.detach() for p in leaves] + states
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_adam_is_torchs(dtype: torch.dtype) -> None:
+    def torchs(made: list[torch.optim.Adam], turn: int) -> None:
+        if turn != 1:
+            for optimizer in made:
+                optimizer.step()
+
+    def ours(made: list[torch.optim.Adam], turn: int) -> None:
+        adam_step(made, torch.tensor(float(turn == 1)))  # a misfit changes nothing
+
+    wanted = adam(dtype, torchs)
+    with emulated():
+        found = adam(dtype, ours)
+    for a, b in zip(found, wanted, strict=True):
+        torch.testing.assert_close(a, b, rtol=1e-6, atol=1e-7 if a.numel() else 0)
+
+
+def test_three_products_of_tf32_are_as_exact_as_floats() -> None:
+    """One such product alone is good to three digits; the CPU's floats are the measure."""
+    exact = networks.pulled(ops.mlp, networks.points(150), *networks.network())
+    single = networks.single(networks.points(150), networks.network())
+    usual = networks.pulled(ops.mlp, *single)
+    with emulated():
+        found = networks.pulled(ops.mlp, *single)
+    for a, b, c in zip(found, usual, exact, strict=True):
+        error, rounding = (float((v.double() - c).norm() / c.norm()) for v in (a, b))
+        assert error < 4 * rounding + 1e-7
 
 
 def test_floats_are_as_exact_as_the_cpu() -> None:

@@ -5,7 +5,7 @@ import torch
 from torch import Tensor
 
 from refdgs_pipe.errors import DeviceError, ShapeError
-from refdgs_pipe.ops import image_loss, reference_image_loss, ssim, ssim_map
+from refdgs_pipe.ops import image_loss, image_loss_and_error, reference_image_loss, ssim, ssim_map
 
 SIZES = [(1, 1), (3, 200), (70, 5), (37, 29), (129, 65)]
 
@@ -19,6 +19,21 @@ def pair(height: int, width: int, seed: int = 0) -> tuple[Tensor, Tensor, Tensor
     weight = torch.where(weight < 0.25, 0.0, weight)
     weight.view(-1)[0] = 0.5
     return target + noise, target, weight
+
+
+@pytest.mark.parametrize("weighted", [False, True])
+def test_the_squared_error_is_the_weighted_mean_in_float_and_double(weighted: bool) -> None:
+    rng = torch.Generator().manual_seed(8)
+    image, target = torch.rand(2, 30, 41, 3, generator=rng, dtype=torch.float64).unbind(0)
+    weight = (torch.rand(30, 41, generator=rng) < 0.7).double() if weighted else None
+    share = torch.ones(30, 41) if weight is None else weight
+    expected = float(((image - target) ** 2 * share[..., None]).sum() / share.sum() / 3)
+    for dtype in (torch.float64, torch.float32):
+        w = None if weight is None else weight.to(dtype)
+        leaf = image.to(dtype).requires_grad_()
+        loss, error = image_loss_and_error(leaf, target.to(dtype), weight=w)
+        assert not error.requires_grad and float(error) == pytest.approx(expected, rel=1e-5)
+        assert float(loss) == float(image_loss(leaf, target.to(dtype), weight=w))
 
 
 @pytest.mark.parametrize("size", SIZES)

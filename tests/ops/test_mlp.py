@@ -1,6 +1,7 @@
 """The network against its definition and against finite differences."""
 
 import itertools
+import sys
 from collections.abc import Callable
 
 import pytest
@@ -136,6 +137,32 @@ def test_any_strides_are_read_as_they_are() -> None:
     assert torch.equal(mlp(planes, *net), expected) and torch.equal(mlp(wide, *net), expected)
     flipped = [w.T.contiguous().T for w in net[0]]
     assert torch.equal(mlp(x, flipped, net[1]), expected)
+
+
+@pytest.mark.parametrize("half", [False, True])
+def test_inputs_may_lie_in_several_tables(half: bool) -> None:
+    x, net = points(130), network()
+    x, weights, biases = single(x, net) if half else (x, *net)
+    whole = x.clone().requires_grad_()
+    mlp(whole, weights, biases, half=half).square().sum().backward()
+    leaf = x.clone().requires_grad_()
+    parts = [leaf[:, :4].T.contiguous().T, leaf[:, 4:8], leaf[:, 8], leaf[:, 9]]
+    out = mlp(parts, weights, biases, half=half)
+    assert torch.equal(out, mlp(x, weights, biases, half=half))
+    out.square().sum().backward()
+    assert torch.equal(leaf.grad, whole.grad)
+    with pytest.raises(ShapeError, match=r"x is \(5, 4\) and \(6, 6\)"):
+        mlp([x[:5, :4], x[:6, 4:]], weights, biases)
+
+
+def test_values_kept_for_backward_and_values_computed_again_are_the_same(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    arguments = single(points(5000), network())
+    kept = pulled(mlp, *arguments, half=True)
+    monkeypatch.setattr(sys.modules["refdgs_pipe.ops.mlp"], "MOST_KEPT", 0)
+    again = pulled(mlp, *arguments, half=True)
+    assert all(torch.equal(a, b) for a, b in zip(kept, again, strict=True))
 
 
 def test_a_point_that_is_not_a_number_spoils_only_itself() -> None:

@@ -181,6 +181,28 @@ def test_the_result_does_not_depend_on_the_number_of_threads() -> None:
             assert torch.equal(a, b)
 
 
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
+def test_pixels_that_are_needed_do_not_notice_that_others_are_left_out(dtype: torch.dtype) -> None:
+    """In float and double; a gradient from elsewhere counts for nothing."""
+    surfels, features = scene(300, seed=12, dtype=dtype)
+    view = camera(70, 45, dtype)
+    needed = torch.rand(45, 70, generator=torch.Generator().manual_seed(5)) < 0.5
+    needed[:, :20] = False
+    found = []
+    for given in (None, needed):
+        s, f, v = leaves(surfels, features, view)
+        maps = rasterize(s, f, v, extra="depth", normals=True, needed=given)
+        pull = torch.rand(45, 70, generator=torch.Generator().manual_seed(6)).to(dtype)
+        looked_at = pull * needed if given is None else pull
+        ((maps.features.sum(-1) + maps.normal.sum(-1) + maps.depth) * looked_at).sum().backward()
+        kept = [m.detach()[needed] for m in (maps.features, maps.normal, maps.depth, maps.alpha)]
+        found.append([*kept, s.means.grad, s.quats.grad, s.scales.grad, s.opacities.grad, f.grad])
+    for all_drawn, some_drawn in zip(*found, strict=True):
+        assert float((all_drawn - some_drawn).abs().max()) <= 1e-6 * float(all_drawn.abs().max())
+    with pytest.raises(ShapeError, match="give 45 rows of 70 torch"):
+        rasterize(surfels, features, view, needed=needed.T)
+
+
 def test_an_empty_set_draws_nothing_and_has_empty_gradients() -> None:
     surfels, features = scene(0)
     s, f, v = leaves(surfels, features, camera())
@@ -211,6 +233,10 @@ def test_screen_statistics_measure_the_pull_on_the_projected_centre() -> None:
     maps.features[:, : view.width // 2].sum().backward()
     plain, absolute = maps.statistics.gradients[0]
     assert float(plain) > 0 and float(absolute) >= float(plain)
+    without = rasterize(s, f, v, absolute=False)
+    without.features[:, : view.width // 2].sum().backward()
+    assert float(without.statistics.gradients[0, 0]) == pytest.approx(float(plain))
+    assert float(without.statistics.gradients[0, 1]) == 0
 
 
 def test_sizes_that_disagree_are_named() -> None:

@@ -12,10 +12,10 @@ from emulation import emulated
 from torch import Tensor
 from training.test_trainer import SMALL, capture, quiet
 
-from refdgs_pipe.ops import cuda, cuda_rasterize
-from refdgs_pipe.training import shading
+from refdgs_pipe.ops import Later, Plan, cuda, cuda_rasterize, cuda_shade
+from refdgs_pipe.ops import plan as planning
 from refdgs_pipe.training.photos import _shrunk_there, shrunk
-from refdgs_pipe.training.trainer import Trainer
+from refdgs_pipe.training.trainer import Moment, Trainer
 
 GPU = "meta"  # torch's device of tensors with sizes but no numbers: reading one raises
 VARIANTS: list[tuple[dict[str, Any], bool]] = [
@@ -30,16 +30,13 @@ VARIANTS: list[tuple[dict[str, Any], bool]] = [
 def numberless_gpu() -> Iterator[None]:
     """A GPU without numbers: what mixes devices or waits for a number raises.
 
-    Kernels do nothing; the two numbers that a step does wait for, how many entries and how many
-    covered pixels there are, are made up.
+    Kernels do nothing; the numbers that only the first steps wait for, how many entries and how
+    many covered pixels there are, are made up. What a step sends to the CPU is dropped.
     """
 
     def kernels(name: str, like: Tensor) -> Callable[..., list[int]]:
         assert like.device.type == GPU
         return lambda *arguments: [4096, 4096, 4096, 4096]
-
-    def nonzero(tensor: Tensor) -> Tensor:
-        return torch.zeros(70, 1, dtype=torch.int64, device=tensor.device)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(cuda, "on_gpu", lambda tensor: tensor.device.type == GPU)
@@ -47,10 +44,15 @@ def numberless_gpu() -> Iterator[None]:
         patch.setattr(cuda, "processors", lambda like: 4)
         patch.setattr(cuda, "check_gpu", lambda name, tensor: None)
         patch.setattr(cuda_rasterize, "_entries", lambda *arguments: 300)
-        patch.setattr(shading.torch, "nonzero", nonzero)
+        patch.setattr(cuda_shade, "_count", lambda *arguments: 70)
+        patch.setattr(Later, "send", lambda *arguments: None)
         adam = torch.optim.Adam
         patch.setattr(torch.optim, "Adam", lambda *a, **k: adam(*a, **{**k, "fused": False}))
         yield
+
+
+def _waits(*arguments: object) -> int:
+    raise AssertionError("a step waits for the GPU")
 
 
 @pytest.mark.parametrize(("changed", "masked"), VARIANTS)
@@ -66,6 +68,11 @@ def test_a_step_mixes_no_devices_and_waits_for_no_number(
         trainer._photo = lambda fraction: trainer.full[0]  # type: ignore[method-assign]
         for _ in range(3):
             trainer.step()
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(cuda_rasterize, "_entries", _waits)
+            patch.setattr(cuda_shade, "_count", _waits)
+            for _ in range(3):
+                trainer.step()
         assert trainer.field.geometry.gradient_sum.device.type == GPU
 
 
@@ -99,6 +106,59 @@ def test_training_with_the_emulated_kernels_goes_as_on_the_cpu(tmp_path: Path) -
     # Adam amplifies rounding where gradients are tiny
     assert float(abs(found.geometry.means - wanted.geometry.means).mean()) < 1e-3
     assert other == pytest.approx(loss, rel=2e-3)
+
+
+def trained(folder: Path, plan: Plan | None, steps: int, **changed: Any) -> Trainer:
+    """A short training with the emulated kernels, read two steps late where there is a plan."""
+    views, model = capture(folder / "views", size=20)
+    few = {"iterations": steps, "surfels": 150, "local_surfels": 100, "start": "hull"}
+    params = SMALL.model_copy(update={**few, "reflect_from": 0.0, "local_from": 0.3, **changed})
+    trainer = Trainer(views, model, params, folder)
+    if plan is not None:
+        trainer.plan, trainer._later = plan, Later("cpu", lag=2)
+    with emulated():
+        for _ in range(steps):
+            trainer.step()
+        trainer._read(all_of_them=True)
+    return trainer
+
+
+def test_training_with_planned_lists_ends_in_the_same_bits(tmp_path: Path) -> None:
+    few = {"densify_every": 3, "smooth_weight": 0.1}
+    wanted = trained(tmp_path / "a", None, 8, **few)
+    found = trained(tmp_path / "b", Plan("cpu"), 8, **few)
+    assert found.loss == wanted.loss and len(found.field.geometry) > 0
+    for name, value in wanted.field.state().items():
+        assert torch.equal(found.field.state()[name], value), name
+
+
+def test_a_step_whose_lists_have_no_room_changes_nothing_and_is_done_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(planning, "LEAST", 1)
+    monkeypatch.setattr(planning, "LADDER", 1.01)
+    monkeypatch.setattr(planning, "MARGIN", 1.0)  # the next view may need more
+    plan, noted, misfits = Plan("cpu"), [], []
+    learn, update = plan.learn, Trainer._update
+
+    def watched(trainer: Trainer, moment: Moment) -> None:
+        before = {k: v.clone() for k, v in trainer.field.state().items()}
+        update(trainer, moment)
+        if float(plan.misfit):
+            misfits.append(moment.iteration)
+            for name, value in trainer.field.state().items():
+                assert torch.equal(before.get(name, torch.zeros_like(value)), value), name
+
+    def learned(asked: Any, needed: Tensor) -> bool:
+        noted.append(learn(asked, needed))
+        return noted[-1]
+
+    monkeypatch.setattr(Trainer, "_update", watched)
+    monkeypatch.setattr(plan, "learn", learned)
+    trainer = trained(tmp_path, plan, 10, densify_every=100)
+    assert misfits and noted.count(False) == len(misfits) and noted.count(True) == 10
+    steps = {float(s["step"]) for s in trainer.field.geometry.optimizer.state.values()}
+    assert steps == {10.0}
 
 
 @pytest.mark.parametrize("masked", [False, True])

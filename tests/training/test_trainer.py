@@ -106,7 +106,7 @@ def test_training_improves_the_picture_and_the_normals(tmp_path: Path) -> None:
     truth = glossy_pair().surface_map(camera)
     target = truth.color + (1 - truth.alpha[..., None])
     figures = []
-    for steps in (1, 250):
+    for steps in (1, 400):
         (tmp_path / str(steps)).mkdir()
         params = SMALL.model_copy(update={"iterations": steps})
         field = Trainer(views, model, params, tmp_path / str(steps)).run(quiet)

@@ -1,0 +1,90 @@
+"""The photo's target and the mask's cross-entropy, against their definition and differences."""
+
+import pytest
+import torch
+from torch import Tensor
+
+from refdgs_pipe.errors import ShapeError
+from refdgs_pipe.ops import composited, mask_entropy, reference_photo
+
+H, W = 21, 37
+
+
+def photo(size: tuple[int, int] = (H, W)) -> tuple[Tensor, Tensor, Tensor]:
+    """Colours, a mask with hard and soft pixels, a backdrop."""
+    rng = torch.Generator().manual_seed(3)
+    rgb = torch.randint(0, 256, (3, *size), generator=rng, dtype=torch.uint8)
+    mask = torch.randint(-200, 456, size, generator=rng).clamp(0, 255).to(torch.uint8)
+    return rgb, mask, torch.rand(3, generator=rng, dtype=torch.float64)
+
+
+def alphas(size: tuple[int, int] = (H, W)) -> Tensor:
+    """Alpha maps reach beyond both ends of what counts."""
+    made = torch.rand(size, generator=torch.Generator().manual_seed(4), dtype=torch.float64)
+    return (1.2 * made - 0.1).requires_grad_()
+
+
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
+def test_a_target_equals_the_reference_in_float_and_double(dtype: torch.dtype) -> None:
+    rgb, mask, backdrop = photo()
+    limit = 1e-12 if dtype == torch.float64 else 3e-7
+    for m in (mask, None):
+        expected = reference_photo.composited(rgb, m, backdrop)
+        ours = composited(rgb, m, backdrop.to(dtype))
+        assert ours.dtype == dtype and ours.shape == (H, W, 3)
+        assert float((ours.double() - expected).abs().max()) < limit
+
+
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
+def test_the_entropy_equals_the_reference_in_float_and_double(dtype: torch.dtype) -> None:
+    _, mask, _ = photo()
+    pulls = []
+    for run, kind in ((reference_photo.mask_entropy, torch.float64), (mask_entropy, dtype)):
+        leaf = alphas().detach().to(kind).requires_grad_()
+        loss = run(leaf, mask, weight=0.3)  # type: ignore[operator]
+        (2 * loss).backward()
+        pulls.append((loss.detach().double(), leaf.grad.double()))
+    (expected, slope), (ours, found) = pulls
+    limit = 1e-12 if dtype == torch.float64 else 1e-5
+    assert float((ours - expected).abs() / expected) < limit
+    assert float((found - slope).norm() / slope.norm()) < (1e-12 if limit < 1e-6 else 2e-4)
+
+
+def test_the_entropy_s_gradient_equals_differences() -> None:
+    _, mask, _ = photo()
+    leaf = alphas().detach().clamp(0.01, 0.99).requires_grad_()
+    assert torch.autograd.gradcheck(lambda a: mask_entropy(a, mask), (leaf,))
+    spread = torch.stack([leaf.detach()] * 2, -1)[..., 0].requires_grad_()  # not side by side
+    assert torch.equal(mask_entropy(spread, mask), mask_entropy(leaf, mask))
+
+
+def test_an_alpha_that_is_no_number_is_not_hidden_in_float() -> None:
+    _, mask, _ = photo()
+    broken = alphas().detach().float()
+    broken[5, 36] = float("nan")
+    assert bool(mask_entropy(broken, mask).isnan())
+
+
+def test_the_result_does_not_depend_on_the_number_of_threads() -> None:
+    rgb, mask, backdrop = photo((150, 40))
+    results = []
+    for threads in (1, 2, 5):
+        leaf = alphas((150, 40)).detach().float().requires_grad_()
+        loss = mask_entropy(leaf, mask, threads=threads)
+        loss.backward()
+        target = composited(rgb, mask, backdrop.float(), threads=threads)
+        results.append((target, loss.detach(), leaf.grad))
+    for other in results[1:]:
+        assert all(torch.equal(a, b) for a, b in zip(results[0], other, strict=True))
+
+
+def test_wrong_sizes_and_types_are_named() -> None:
+    rgb, mask, backdrop = photo()
+    with pytest.raises(ShapeError, match="give 21 rows of 37 uint8"):
+        mask_entropy(alphas(), mask.float())
+    with pytest.raises(ShapeError, match="give 21 rows of 37 uint8"):
+        composited(rgb, mask.T, backdrop)
+    with pytest.raises(ShapeError, match=r"give \(3, H, W\) uint8"):
+        composited(rgb.permute(1, 2, 0), mask, backdrop)
+    with pytest.raises(ShapeError, match="at least one pixel"):
+        mask_entropy(torch.zeros(0, 4), mask)
