@@ -1,6 +1,8 @@
 """Write the product in every format, and check each file before it counts."""
 
-from pydantic import Field
+from functools import partial
+
+from pydantic import Field, PositiveInt
 
 from refdgs_pipe.artifacts.appearance import Appearance
 from refdgs_pipe.artifacts.asset import Asset
@@ -15,18 +17,14 @@ from refdgs_pipe.pipeline.stage import Job, stage
 class ExportParams(Params):
     """The files that come out."""
 
-    longest: float | None = Field(
-        None,
-        gt=0,
-        le=10_000,
-        description="longest side of the object in metres; unset: as the photos' scale tells",
-    )
+    longest: float | None = Field(None, gt=0, le=10_000, description="longest side, in metres")
+    lods: tuple[PositiveInt, ...] = Field((), description="triangles of coarser GLBs, counts")
     preview: int = Field(480, ge=64, le=4096, description="side of each preview picture, in pixels")
     environment: int = Field(512, ge=16, le=4096, description="rows of environment.hdr, in pixels")
     recipe: str = Field("", max_length=200, description="name to note; empty: the recipe's own")
 
 
-@stage(version=3, programs=("usd-core",))
+@stage(version=3, programs=("usd-core", "pymeshlab"))
 def export(
     textured: TexturedMesh,
     looks: Appearance,
@@ -37,21 +35,25 @@ def export(
     job: Job,
 ) -> Asset:
     """Write GLB, USDC, USDZ, OBJ, splats, the surroundings and a preview picture."""
+    from refdgs_pipe.export import files
     from refdgs_pipe.export.about import about_asset
-    from refdgs_pipe.export.files import Surroundings, writers
     from refdgs_pipe.export.frame import AssetFrame, latlong_light
     from refdgs_pipe.export.product import product, scale_of
+    from refdgs_pipe.texture.levels import levels
 
     scale, told = scale_of(textured.mesh, known=model.metres_per_unit, longest=params.longest)
     if told == "unknown":
-        job.measure("scale", "unknown: one unit is one metre; set export.longest, in metres")
+        job.measure("scale", "unknown: a unit is a metre; set export.longest, in metres")
     about = about_asset(params.recipe, (v.source or v.name for v in views.items), scale, told)
-    done = product(textured, up=model.up, metres_per_unit=scale, about=about)
-    frame = AssetFrame.of(model.up, scale)
+    turned = partial(product, up=model.up, metres_per_unit=scale, about=about)
+    done, frame = turned(textured), AssetFrame.of(model.up, scale)
     light = latlong_light(frame, looks.environment, params.environment)
-    around = Surroundings(frame, light, model.cameras, field.geometry)
-    for write in job.track(writers(around, preview=params.preview), "writing files"):
+    around = files.Surroundings(frame, light, model.cameras, field.geometry)
+    for write in job.track(files.writers(around, preview=params.preview), "writing files"):
         write(job.folder, done)
+    for number, level in enumerate(levels(textured, params.lods, stop=job.stop), 1):
+        files.glb(job.folder, turned(level.textured), name=f"asset_lod{number}.glb")
+        job.measure(f"level {number}", len(level.textured.mesh.faces), level.told(scale))
     for name in ("asset.glb", "asset.usdz"):
         job.measure(name, round((job.folder / name).stat().st_size / 1e6, 2), "MB")
     job.measure("faces", len(done.faces))

@@ -73,13 +73,13 @@ def textures(folder: Path, product: Product) -> None:
         (folder / _TEXTURES / name).write_bytes(content)
 
 
-def glb(folder: Path, product: Product) -> None:
-    """asset.glb.
+def glb(folder: Path, product: Product, *, name: str = "asset.glb") -> None:
+    """asset.glb, or one of its coarser versions by another name.
 
     Raises:
         ExportError: it did not pass its check.
     """
-    path = folder / "asset.glb"
+    path = folder / name
     write_glb(path, product, generator=GENERATOR)
     require(path, glb_faults(path))
 

@@ -1,0 +1,60 @@
+"""What it costs to make an asset of a trained field: processor seconds and memory of each step.
+
+pytest -m benchmark -s tests/benchmarks/bench_asset.py
+"""
+
+import resource
+import time
+
+import numpy as np
+import pytest
+from finished import appearance
+from scenes import Scene, Sphere, gradient_sky, orbit, waves
+from solids import sphere
+
+from refdgs_pipe.artifacts.mesh import Mesh
+from refdgs_pipe.texture import charts
+from refdgs_pipe.texture.material import Painter
+
+pytestmark = pytest.mark.benchmark
+FACES, VIEWS, SIZE = 50_000, 100, 1024
+RINGS = round((FACES / 4) ** 0.5)
+
+
+def body() -> Mesh:
+    """A ball of about FACES triangles with dents all over."""
+    solid = sphere(RINGS)
+    dented = solid.vertices * (1 + 0.05 * np.sin(9 * solid.vertices).prod(1, keepdims=True))
+    return Mesh(dented.astype(np.float32), solid.faces)
+
+
+def told(name: str, begin: float) -> None:
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+    print(f"\n{name}: {time.process_time() - begin:.1f} core-s, peak {peak:.2f} GB")
+
+
+@pytest.mark.parametrize("program", ["UVAtlas", "UVAtlas in parts", "xatlas"])
+def test_unwrap(program: str) -> None:
+    mesh = body()
+    begin = time.process_time()
+    if program == "xatlas":
+        corners = charts.xatlas_corners(mesh.vertices, mesh.faces, 4 / 1024)
+    else:
+        parts = 1 if program == "UVAtlas" else 4
+        corners = charts.uvatlas_corners(mesh.vertices, mesh.faces, 4 / 1024, 0.1667, parts)
+    told(f"{program}, {len(mesh.faces)} faces", begin)
+    layout = charts.measure(program, mesh, charts.unmirrored(corners))
+    print(f"charts {layout.charts}, used {layout.used:.3f}, stretch {layout.stretch:.3f}")
+
+
+def test_bake() -> None:
+    mesh = body()
+    cut = charts.unwrap(mesh, gutter=4 / 1024, max_stretch=0.1667, timeout_s=600).mesh
+    scene = Scene((Sphere((0, 0, 0), 1.0, waves),), gradient_sky)
+    maps = [scene.surface_map(camera) for camera in orbit(VIEWS, size=640, focal=900)]
+    begin = time.process_time()
+    painter = Painter(cut, SIZE, tolerance=0.1)
+    for view in maps:
+        painter.add(view)
+    painter.paint(appearance(mesh.vertices))
+    told(f"bake, {SIZE} texels, {VIEWS} views of 640 px, {len(mesh.faces)} faces", begin)
