@@ -177,9 +177,10 @@ class TrainableField:
         with_local = self.local is not None and fraction >= p.local_from
         background_rgb = None
         if self.background is not None:
-            pose = camera.cam_from_world
-            center = -pose[:3, :3].T @ pose[:3, 3]
-            towards = self.background.raw["means"].detach() - sent(center, self.device)
+            center = camera.center
+            if camera.lens is None:
+                center = sent(center, self.device)
+            towards = self.background.raw["means"].detach() - center
             towards = towards / towards.norm(dim=-1, keepdim=True)
             background_rgb = sh_color(self.background.raw["sh"], towards)
         return Scene(
