@@ -32,13 +32,13 @@ class MaskEntropy(torch.autograd.Function):
         ctx.gradient = alpha.new_empty(alpha.shape) if ctx.needs_input_grad[0] else None
         loss = alpha.new_empty(())
         parts = cuda.memory(-(-alpha.numel() // BLOCK) * alpha.itemsize, alpha)
+        gradient = 0 if ctx.gradient is None else ctx.gradient.data_ptr()
         cuda.kernels("mask_entropy", alpha)(
             [*alpha.shape],
             [addresses.image(alpha)],
             mask.data_ptr(),
             weight / alpha.numel(),
-            [0 if ctx.gradient is None else ctx.gradient.data_ptr()]
-            + [parts.data_ptr(), loss.data_ptr()],
+            [gradient, parts.data_ptr(), loss.data_ptr()],
         )
         return loss
 

@@ -43,9 +43,9 @@ class Pinhole:
         cam_from_world: (3 or 4, 4) tensor; may require a gradient (pose refinement).
         fx, fy, cx, cy: pixels; pixel centres are at +0.5.
         near: depth before which nothing is drawn, world units.
-        lens: (19,) float32 on a GPU: the pose's rows, fx, fy, cx, cy and the camera's centre. Where it
-            is given, kernels read these instead, so that captured work can be given another camera
-            of the same size; the pose gets no gradient then.
+        lens: (19,) on a GPU, in the surfels' type: the pose's rows, fx, fy, cx, cy and the camera's
+            centre. Where it is given, kernels read these instead, so that recorded work can be
+            given another camera of the same size and `near`.
     """
 
     cam_from_world: Tensor

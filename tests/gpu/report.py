@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-STEPS = ("build", "doctor", "parity", "memcheck", "racecheck", "timing", "training")
+STEPS = ("build", "doctor", "parity", "memcheck", "racecheck", "timing", "graph", "training")
 OPTIONAL = ("memcheck", "racecheck")  # a machine may not let a checker near its GPU
 
 IMPOSSIBLE, OUT_OF_TIME = "not possible on this machine", "out of time"

@@ -112,6 +112,19 @@ def test_sph_mip_lookups(size: tuple[int, int], count: int) -> None:
         alike(lambda: mips.pulled(ops.sph_mip, base, *query, min_level=1.25))
 
 
+def test_room_to_spare_changes_no_bit_of_the_map_s_gradient() -> None:
+    base, (directions, roughness) = mips.random_map(16, 32), mips.query(300)
+    slopes = []
+    with emulated():
+        for room in (100, 300):
+            leaf = base.clone().requires_grad_()
+            limit = torch.tensor([100])
+            out = ops.sph_mip(leaf, directions[:room], roughness[:room], limit=limit)
+            out[:100].sin().sum().backward()
+            slopes.append(leaf.grad)
+    assert torch.equal(*slopes)
+
+
 def test_sph_mip_passes_on_what_is_not_finite() -> None:
     base, (directions, roughness) = mips.random_map(8, 16), mips.query(5)
     leaf = base.clone().requires_grad_()
