@@ -14,7 +14,7 @@ from training.test_trainer import SMALL, capture
 from refdgs_pipe.errors import TrainingError
 from refdgs_pipe.ops import Later, Plan, addresses
 from refdgs_pipe.ops import plan as planning
-from refdgs_pipe.training import recorded, surfels
+from refdgs_pipe.training import recorded, step, surfels
 from refdgs_pipe.training.recorded import RecordedSteps
 from refdgs_pipe.training.step import Taken
 from refdgs_pipe.training.trainer import Trainer
@@ -214,3 +214,32 @@ def test_each_kind_of_photo_has_its_own_and_there_are_not_too_many(
     assert (tape.records, other.records) == (1, 2) and other.replays > tape.replays
     assert_same(few, usual)
     assert_same(both, usual)
+
+
+def test_a_step_leaves_nothing_of_its_gradients_graph(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A node that adds to a leaf's gradient keeps the stream that it was made on.
+
+    Made in a usual step and still alive, it would take a recording to that stream, and break it.
+    """
+    loss_of, marked = step._loss, []
+
+    def nodes(trainer: Trainer) -> list[dict[str, int]]:
+        groups = [g for o in trainer.field.optimizers() for g in o.param_groups]
+        leaves = [leaf for group in groups for leaf in group["params"]]
+        return [leaf.expand_as(leaf).grad_fn.next_functions[0][0].metadata for leaf in leaves]
+
+    def mark(trainer: Trainer) -> None:
+        def marking(*arguments: Any) -> Any:
+            for metadata in nodes(trainer):
+                metadata["seen"] = 1
+            marked.append([len(m) for m in nodes(trainer)])
+            return loss_of(*arguments)
+
+        monkeypatch.setattr(step, "_loss", marking)
+
+    short = {"iterations": 2, "surfels": 60}
+    trainer, *_ = trained(tmp_path, tape=None, change=mark, masked=False, **short)
+    assert any(marked[0]) and len(marked) == 2  # those that the step uses were the same in it
+    assert not any(nodes(trainer))
