@@ -117,7 +117,7 @@ class RecordedSteps:
         self._recordings: dict[object, _Recording] = {}
         self._seen: Counter[object] = Counter()
         self._before: dict[object, TrainingPhoto] = {}
-        self._places: list[int] = []
+        self._places: list[tuple[int, int]] = []
         self.replayed = 0  # steps
 
     def take(
@@ -132,13 +132,14 @@ class RecordedSteps:
         """
         if self._recorder is None or plan is None:
             return self._as_usual(photo, backdrop, fraction, plan)
-        places = [tensor.data_ptr() for tensor in _tensors(self._field)]
+        places = [(tensor.data_ptr(), tensor.numel()) for tensor in _tensors(self._field)]
         if places != self._places:
             self.forget()
             self._places = places
         kind = self._kind(photo, fraction)
         found = self._recordings.get(kind)
         if found is not None and not plan.holds(found.asked):
+            _finish()  # the GPU may be at it
             del self._recordings[kind]
             found = None
         if found is not None:
@@ -155,8 +156,8 @@ class RecordedSteps:
 
     def forget(self) -> None:
         """The field's memory has moved, or something else that recordings rely on is another."""
-        if self._recordings and self._places and torch.cuda.is_available():
-            torch.cuda.synchronize()
+        if self._recordings:
+            _finish()
         self._recordings.clear()
         self._seen.clear()
         self._before.clear()
@@ -229,6 +230,12 @@ class RecordedSteps:
             raise TrainingError(f"{why}. Set train.cuda_graph to auto or off") from error
         if self._warn is not None:
             self._warn(f"{why}. Training goes on without, more slowly")
+
+
+def _finish() -> None:
+    """Wait for the GPU, if there is one."""
+    if torch.cuda.is_available():
+        torch.cuda.synchronize()
 
 
 def _tensors(field: TrainableField) -> list[Tensor]:
