@@ -208,10 +208,9 @@ class RecordedSteps:
             recording = _Recording(recorded, buffers, plan.asked())
             buffers.load(photo, backdrop, rates)
             recorded.replay()
-            error = _difference(was, wanted, _tensors(field))
-            error = max(error, _apart(usual[0], recorded.made))
-            if not error <= TOLERANCE:
-                raise TrainingError(f"a replayed step differs by {error:.1g} of what it changes")
+            differs = _difference(was, wanted, _tensors(field), usual[0], recorded.made)
+            if not differs <= TOLERANCE:
+                raise TrainingError(f"a replayed step differs by {differs:.1g} of what it changes")
         except Exception as error:  # whatever it is, training can do without
             for optimizer in field.optimizers():
                 optimizer.zero_grad(set_to_none=True)
@@ -272,22 +271,18 @@ def _restore(tensors: list[Tensor], values: list[Tensor]) -> None:
             tensor.copy_(value)
 
 
-def _difference(was: list[Tensor], wanted: list[Tensor], found: list[Tensor]) -> float:
-    """How far the changes of any tensor are from the wanted ones, as a share of those, by norm."""
+def _difference(
+    was: list[Tensor], wanted: list[Tensor], found: list[Tensor], usual: Taken, made: Taken
+) -> float:
+    """How far a step's changes of any tensor, its figures and its image are from the usual step's.
+
+    As a share of those, by norm; NaN if one is.
+    """
     shares = []
     for old, new, other in zip(was, wanted, found, strict=True):
         change, noise = (new - old).norm(), 1e-6 * old.norm() + 1e-30
         shares.append((other.detach() - new).norm() / (change + noise))
-    return _largest(shares)
-
-
-def _apart(wanted: Taken, found: Taken) -> float:
-    """How far figures and images of two steps are from each other."""
-    pairs = [(getattr(wanted, name), getattr(found, name)) for name in vars(wanted)]
-    return _largest([(b - a).norm() / (a.norm() + 1e-30) for a, b in pairs])
-
-
-def _largest(shares: list[Tensor]) -> float:
-    """NaN if one is."""
+    for name, value in vars(usual).items():
+        shares.append((getattr(made, name) - value).norm() / (value.norm() + 1e-30))
     values: list[float] = torch.stack(shares).tolist()
     return math.nan if any(math.isnan(v) for v in values) else max(values)
