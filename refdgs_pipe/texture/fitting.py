@@ -181,13 +181,15 @@ class _Problem:
     def split(self, state: State, *, metal: bool) -> State:
         """Tell roughness, and metal if there may be any, by how much reflections swing.
 
-        Least squares only ever takes a surface for too rough, so the smoother of both counts.
+        A metal's reflectance is not known beforehand. But least squares only ever takes it for too
+        rough, so there the smoother of both counts.
         """
         around = Environment(state.light.reshape(self.height, -1, 3))
         swing = Swing(self.samples, self.corners, self.near, self.links)
         metallic = swing.metal(around, state.roughness) if metal else state.metallic
         swung = swing.roughness(around, metallic, state.tint)
-        roughness = np.minimum(state.roughness, swung)
+        smoother = np.minimum(state.roughness, swung)
+        roughness = swung + metallic * (smoother - swung)
         told = replace(state, metallic=metallic, roughness=roughness, is_told=True)
         return self._lit(told)
 
