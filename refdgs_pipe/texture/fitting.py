@@ -37,11 +37,12 @@ class Plan:
     """How long and how hard the fit tries.
 
     Args:
-        epochs: times that all samples are gone through, before and after metal is told.
+        epochs: times that all samples are gone through: before metal is told, before roughness is,
+            when the light has become sharp, and after.
         rate: Adam's step.
     """
 
-    epochs: tuple[int, int] = (20, 20)
+    epochs: tuple[int, int, int] = (20, 20, 20)
     rate: float = 0.05
 
 
@@ -76,13 +77,23 @@ def fit(
 def _fitted(
     problem: "_Problem", plan: Plan, metal: bool, progress: Callable[[int, int], None]
 ) -> Appearance:
-    total = sum(plan.epochs)
+    total, done = sum(plan.epochs), 0
     state = problem.start(metal=metal)
-    first, second = plan.epochs
-    state = problem.descend(state, first, plan.rate, lambda done: progress(done, total))
-    state = problem.split(state, metal=metal)
-    state = problem.descend(state, second, plan.rate, lambda done: progress(first + done, total))
+    telling: list[Callable[[State], State]] = [_kept, problem.tell_metal, problem.tell_roughness]
+    if not metal:
+        telling[1] = _kept
+    for epochs, tell in zip(plan.epochs, telling, strict=True):
+
+        def shown(number: int, before: int = done) -> None:
+            progress(before + number, total)
+
+        state = problem.descend(tell(state), epochs, plan.rate, shown)
+        done += epochs
     return problem.result(state)
+
+
+def _kept(state: State) -> State:
+    return state
 
 
 def matte(mesh: TriangleMesh, *, lift: float) -> Appearance:
@@ -178,20 +189,27 @@ class _Problem:
         received = self.sky.received(around, self.sent)
         return replace(state, received=np.maximum(received, 1e-3))
 
-    def split(self, state: State, *, metal: bool) -> State:
-        """Tell roughness, and metal if there may be any, by how much reflections swing.
+    def tell_metal(self, state: State) -> State:
+        """Tell metal by how much reflections swing."""
+        light, swing = self._swing(state)
+        metallic = swing.metal(light, state.roughness)
+        return self._lit(replace(state, metallic=metallic, told_metallic=metallic))
+
+    def tell_roughness(self, state: State) -> State:
+        """Tell roughness by how much reflections swing.
 
         A metal's reflectance is not known beforehand. But least squares only ever takes it for too
         rough, so there the smoother of both counts.
         """
-        around = Environment(state.light.reshape(self.height, -1, 3))
-        swing = Swing(self.samples, self.corners, self.near, self.links)
-        metallic = swing.metal(around, state.roughness) if metal else state.metallic
-        swung = swing.roughness(around, metallic, state.tint)
+        light, swing = self._swing(state)
+        swung = swing.roughness(light, state.metallic, state.tint)
         smoother = np.minimum(state.roughness, swung)
-        roughness = swung + metallic * (smoother - swung)
-        told = replace(state, metallic=metallic, roughness=roughness, is_told=True)
-        return self._lit(told)
+        roughness = np.asarray(swung + state.metallic * (smoother - swung), np.float32)
+        return self._lit(replace(state, roughness=roughness, told_roughness=roughness))
+
+    def _swing(self, state: State) -> tuple[Environment, Swing]:
+        light = Environment(state.light.reshape(self.height, -1, 3))
+        return light, Swing(self.samples, self.corners, self.near, self.links)
 
     def descend(
         self, state: State, epochs: int, rate: float, progress: Callable[[int], None]

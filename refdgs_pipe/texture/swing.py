@@ -55,12 +55,13 @@ class Swing:
         metal = metallic[:, None]
         f0 = np.asarray(self.corners @ (DIELECTRIC * (1 - metal) + tint * metal), np.float32)
         cosine = np.clip(self.samples.cosine, 0.02, 1)[:, None]
-        seen = np.maximum(self._deviation(np.clip(self.samples.specular, 0, 1)), 1e-5)
+        far = (self.samples.near_face < 0).astype(np.float32)
+        seen = np.maximum(self._deviation(np.clip(self.samples.specular, 0, 1), far), 1e-5)
         excess = np.empty((len(_GRID), len(seen)), np.float32)
         for i, value in enumerate(_GRID):
             rough = np.full(len(cosine), value, np.float32)
             share = reflected_share(f0, rough[:, None], cosine)
-            shown = self._deviation(np.clip(self._mirrored(light, rough) * share, 0, 1))
+            shown = self._deviation(np.clip(self._mirrored(light, rough) * share, 0, 1), far)
             excess[i] = np.log(np.maximum(shown, 1e-6) / seen)
         return _crossing(np.asarray(_GRID, np.float32), excess)
 
@@ -68,11 +69,12 @@ class Swing:
         far = light.mirrored(self.samples.mirrored, seen_roughness(rough, self.samples.footprint))
         return np.where(self.samples.near_face[:, None] < 0, far, self.near)
 
-    def _deviation(self, values: F32) -> F32:
-        """(V,) standard deviation over the samples around each vertex."""
-        weight = np.asarray(self.corners.sum(0)).reshape(-1, 1)
-        first = np.asarray(self.corners.T @ values, np.float32)
-        second = np.asarray(self.corners.T @ (values * values), np.float32)
+    def _deviation(self, values: F32, counted: F32 | None = None) -> F32:
+        """(V,) standard deviation over the samples around each vertex, those that are counted."""
+        here = np.ones((len(values), 1), np.float32) if counted is None else counted[:, None]
+        weight = np.asarray(self.corners.T @ here, np.float32)
+        first = np.asarray(self.corners.T @ (here * values), np.float32)
+        second = np.asarray(self.corners.T @ (here * values * values), np.float32)
         known = np.maximum(weight, 1e-6)
         spread_out = np.maximum(second - first * first / known, 0)
         both = np.concatenate([spread_out.mean(1, keepdims=True), weight], 1).astype(np.float32)

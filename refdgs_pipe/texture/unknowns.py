@@ -34,7 +34,7 @@ class State:
     Args:
         light: (H * 2H, 3); received: (V, 3) what a white matte surface would show.
         roughness, metallic: (V,); tint: (V, 3); gain: (V, 1), of the diffuse radiance.
-        is_told: whether `metallic` and `roughness` are what was told, and to be kept near.
+        told_metallic, told_roughness: (V,) what was told, to be kept near; None before.
     """
 
     light: F32
@@ -43,7 +43,8 @@ class State:
     tint: F32
     gain: F32
     received: F32
-    is_told: bool = False
+    told_metallic: F32 | None = None
+    told_roughness: F32 | None = None
 
 
 class Unknown:
@@ -59,8 +60,7 @@ class Unknown:
         self.tint = leaf(_logit(state.tint))
         self.gain = leaf(np.log(state.gain))
         self.received = torch.from_numpy(state.received)
-        told = np.stack([state.metallic, state.roughness], 1)
-        self.told = torch.from_numpy(told) if state.is_told else None
+        self.told_metallic, self.told_roughness = state.told_metallic, state.told_roughness
 
     def groups(self, rate: float) -> list[dict[str, Any]]:
         fast, slow = [self.rough, self.metal], [self.light, self.tint, self.gain]
@@ -88,10 +88,11 @@ class Unknown:
         total = total + 2e-4 * (
             (sky - sky.roll(1, 1)).abs().mean() + (sky[1:] - sky[:-1]).abs().mean()
         )
-        if self.told is not None:
-            rough = SMOOTHEST + (1 - SMOOTHEST) * torch.sigmoid(self.rough)
-            found = torch.cat([torch.sigmoid(self.metal), rough], 1)
-            total = total + _TOLD * ((found - self.told) ** 2).sum(1).mean()
+        rough = SMOOTHEST + (1 - SMOOTHEST) * torch.sigmoid(self.rough)
+        metal = torch.sigmoid(self.metal)
+        for found, told in ((metal, self.told_metallic), (rough, self.told_roughness)):
+            if told is not None:
+                total = total + _TOLD * ((found[:, 0] - torch.from_numpy(told)) ** 2).mean()
         return total
 
     def state(self) -> State:
@@ -105,7 +106,8 @@ class Unknown:
                 found[:, 3:6].numpy(),
                 gain[:, None],
                 self.received.numpy(),
-                self.told is not None,
+                self.told_metallic,
+                self.told_roughness,
             )
 
 

@@ -42,7 +42,7 @@ def fitted() -> Appearance:
     samples = samples_of(Scene((SILVER, PLASTIC), gradient_sky), mesh)
     # The procedural views show no reflections between the balls.
     alone = replace(samples, near_face=np.full_like(samples.near_face, -1))
-    return fit(mesh, alone, guess, lift=0.01, metal=True, plan=Plan(epochs=(40, 40)))
+    return fit(mesh, alone, guess, lift=0.01, metal=True, plan=Plan(epochs=(40, 20, 20)))
 
 
 def test_a_mirror_is_metal_and_glossy_plastic_is_not(fitted: Appearance) -> None:
