@@ -9,8 +9,8 @@ import finished
 import numpy as np
 import pytest
 import truth
+from scenes import Box, glossy_pair, gradient_sky, orbit, waves
 from scenes import Scene as Procedural
-from scenes import glossy_pair, gradient_sky, orbit, waves
 
 from refdgs_pipe.artifacts.asset import Asset
 from refdgs_pipe.artifacts.mesh import Mesh, RawMesh, UvMesh
@@ -135,6 +135,37 @@ def test_what_the_user_should_know_is_said(run: Run, monkeypatch: pytest.MonkeyP
     (seen,) = run.warnings()
     assert "was seen by no camera" in seen
     assert "export.longest" in run.measured("export")["scale"]
+
+
+def test_the_table_is_kept_or_not_as_asked(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    board = Box((-1.0, -1.0, -0.6), (1.0, 1.0, -0.5), waves)
+    crate = Box((-0.3, -0.2, -0.5), (0.3, 0.2, 0.3), waves)
+    show(monkeypatch, Procedural((board, crate), gradient_sky).surface_map)
+    above = [c for c in orbit(30) if c.center[2] > 0.5]
+    model = model_of(above, Ball(np.zeros(3), 1.0))
+    raw = run("extract", FIELD, model, voxel=0.012)
+    everything = run("clean", raw, FIELD, model, outlines=0)
+    crate_only = run("clean", raw, FIELD, model, faces=4000, keep="object")
+    assert run.warnings() == [] and run.measured("clean")["support's share of the area"] > 0.3
+    assert crate_only.vertices[:, 2].min() == pytest.approx(-0.5, abs=0.01)
+    assert np.abs(crate_only.vertices[:, :2]).max() < 0.4
+    over_foot = crate_only.vertices[crate_only.vertices[:, 2] > -0.4]  # fusion rounds the foot
+    np.testing.assert_allclose(over_foot.max(0), (0.3, 0.2, 0.3), atol=0.03)
+    assert np.ptp(everything.vertices[:, 0]) > 1.5
+
+
+def test_a_missing_table_is_said_and_everything_stays(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    show(monkeypatch, glossy_pair().surface_map)
+    model = model_of(orbit(24), Ball(np.zeros(3), 1.2))
+    raw = run("extract", FIELD, model, voxel=0.02)
+    mesh = run("clean", raw, FIELD, model, keep="object", outlines=0)
+    (said,) = run.warnings()
+    assert "found no level surface" in said and "sfm.up" in said
+    np.testing.assert_array_equal(
+        mesh.vertices, run("clean", raw, FIELD, model, outlines=0).vertices
+    )
 
 
 def test_an_empty_field_stops_at_extract(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
