@@ -13,8 +13,9 @@ from scenes import Scene, Sphere, gradient_sky, orbit, waves
 from solids import sphere
 
 from refdgs_pipe.artifacts.mesh import Mesh
-from refdgs_pipe.texture import charts
+from refdgs_pipe.texture import charts, programs
 from refdgs_pipe.texture.material import Painter
+from refdgs_pipe.texture.programs import PROGRAMS, Program
 
 pytestmark = pytest.mark.benchmark
 FACES, VIEWS, SIZE = 50_000, 100, 1024
@@ -33,17 +34,14 @@ def told(name: str, begin: float) -> None:
     print(f"\n{name}: {time.process_time() - begin:.1f} core-s, peak {peak:.2f} GB")
 
 
-@pytest.mark.parametrize("program", ["UVAtlas", "UVAtlas in parts", "xatlas"])
-def test_unwrap(program: str) -> None:
+@pytest.mark.parametrize("program", PROGRAMS, ids=lambda program: program.name)
+def test_unwrap(program: Program) -> None:
     mesh = body()
+    function = getattr(programs, program.target.partition(":")[2])
     begin = time.process_time()
-    if program == "xatlas":
-        corners = charts.xatlas_corners(mesh.vertices, mesh.faces, 4 / 1024)
-    else:
-        parts = 1 if program == "UVAtlas" else 4
-        corners = charts.uvatlas_corners(mesh.vertices, mesh.faces, 4 / 1024, 0.1667, parts)
-    told(f"{program}, {len(mesh.faces)} faces", begin)
-    layout = charts.measure(program, mesh, charts.unmirrored(corners))
+    corners = function(mesh.vertices, mesh.faces, 4 / 1024, 0.1667, **program.options)
+    told(f"{program.name}, {len(mesh.faces)} faces", begin)
+    layout = charts.measure(program.name, mesh, charts.unmirrored(corners))
     print(f"charts {layout.charts}, used {layout.used:.3f}, stretch {layout.stretch:.3f}")
 
 

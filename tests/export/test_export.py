@@ -30,7 +30,8 @@ from refdgs_pipe.export.turntable import render_close_up, render_turntable
 from refdgs_pipe.export.usd import write_usdz
 from refdgs_pipe.export.validate import glb_faults, require, usd_faults
 from refdgs_pipe.files.ply import read_ply
-from refdgs_pipe.texture.charts import one_by_one_corners, seam_split
+from refdgs_pipe.texture.charts import seam_split
+from refdgs_pipe.texture.programs import one_by_one_corners
 
 VALIDATOR = Path(__file__).parent / "validate_gltf.js"
 FRAME = AssetFrame.of(np.array([0.0, 0.0, 1.0]), 0.1)
