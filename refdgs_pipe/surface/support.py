@@ -5,6 +5,7 @@ something standing on it. A box's lid has nothing on it; the bottom of a cup rea
 nothing.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from refdgs_pipe.artifacts.mesh import TriangleMesh
 from refdgs_pipe.artifacts.surface_map import SurfaceMap
+from refdgs_pipe.camera import Camera
 from refdgs_pipe.errors import MeshError
 from refdgs_pipe.surface.topology import compacted, face_areas, pieces
 
@@ -26,6 +28,12 @@ _LEAST_OUTSIDE = 0.2  # of the plane's area, that must lie beside what stands on
 _FLAT = 2.0  # of _THICK: what rises no higher is a bump of the support
 _PLANES = 5  # level planes that are looked at: lids and shelves can be larger than the table
 _POINTS = 20_000
+
+NONE_FOUND = (
+    "clean.keep=object: found no level surface that something stands on, so that everything is "
+    "kept. If a table is left, photograph more of it, check the up axis (sfm.up), mask the photos, "
+    "or cut the mesh and adopt it"
+)
 
 
 @dataclass(frozen=True)
@@ -47,13 +55,6 @@ class Support:
     def heights(self, points: NDArray[np.floating]) -> F64:
         """(...) signed distances of points (..., 3)."""
         return np.asarray(points @ self.normal - self.offset, np.float64)
-
-    def hidden(self, view: SurfaceMap) -> SurfaceMap:
-        """What a camera sees, with the support, and what lies below it, uncovered (alpha 0)."""
-        camera = view.camera
-        rays = camera.pixel_rays() @ camera.cam_from_world[:3, :3]
-        above = self.heights(camera.center + rays * view.depth[..., None]) > self.margin
-        return replace(view, alpha=np.where(above, view.alpha, np.float32(0)))
 
 
 def find_support(mesh: TriangleMesh, up: F64, size: float) -> Support | None:
@@ -121,6 +122,29 @@ def above_support(mesh: TriangleMesh, support: Support) -> TriangleMesh:
     foot = heights < support.margin * (1 + 1e-3)
     drawn_down = kept.vertices - np.where(foot, heights, 0)[:, None] * support.normal
     return compacted(drawn_down, kept.faces[rises])
+
+
+def render_above(
+    support: Support | None, render: Callable[[Camera], SurfaceMap], camera: Camera
+) -> SurfaceMap:
+    """What a camera sees, the support and all below it uncovered (alpha 0)."""
+    view = render(camera)
+    if support is None:
+        return view
+    seen = view.camera
+    rays = seen.pixel_rays() @ seen.cam_from_world[:3, :3]
+    above = support.heights(seen.center + rays * view.depth[..., None]) > support.margin
+    return replace(view, alpha=np.where(above, view.alpha, np.float32(0)))
+
+
+def figures(support: Support | None) -> list[tuple[str, float, str]]:
+    """What to tell of it: name, value, unit."""
+    if support is None:
+        return []
+    return [
+        ("support's share of the area", round(support.share, 4), ""),
+        ("cut above the support", round(support.margin, 5), "world units"),
+    ]
 
 
 def _largest_plane(points: F64, areas: F64, up: F64, size: float) -> tuple[F64, float]:
