@@ -36,22 +36,22 @@ def coverage(facts: Facts, _: Drawing) -> Html:
     )
     atlas[texels.index, 3] = 1
     rows = [
-        ("seen by no camera", trust == 0, _swatch(UNSEEN), "filled in from beside it"),
-        ("seen by few, at a slant, or unlike", (trust > 0) & (trust < _WEAK), _swatch(LITTLE), ""),
-        ("seen well", trust >= _WEAK, _swatch(MUCH), "the mean of views that agree"),
+        ("seen by no camera, filled in from beside it", trust == 0, UNSEEN),
+        ("seen by few, at a slant, or unlike", (trust > 0) & (trust < _WEAK), LITTLE),
+        ("seen well", trust >= _WEAK, MUCH),
     ]
     shares: list[tuple[Html | str, ...]] = [
-        (joined(color, f" {name}"), f"{there.mean() if len(there) else 0:.1%}", told)
-        for name, there, color, told in rows
+        (joined(_swatch(color), f" {name}"), f"{there.mean() if len(there) else 0:.1%}")
+        for name, there, color in rows
     ]
-    shares.append((joined(_swatch(INSIDE), " the inside, through a hole"), "", _holes(textured)))
+    shares.append((joined(_swatch(INSIDE), " the inside, through a hole"), _holes(textured)))
     label = "the atlas, in the same colours"
     picture = np.round(atlas.reshape(side, side, 4) * 255).astype(np.uint8)
     return joined(
         tag("div", *pictures, class_="quad"),
         tag(
             "div",
-            table(("texels", "share", ""), shares),
+            table(("texels", "share"), shares),
             figure(image(webp(picture), label, (side, side)), label),
             class_="pair",
         ),
@@ -69,8 +69,8 @@ def _swatch(color: NDArray[np.float32]) -> Html:
 def _holes(textured: TexturedMesh) -> str:
     rims, length = open_rims(textured.mesh)
     if not rims:
-        return "the mesh has no holes"
-    return f"{counted(rims, 'open rim')}, {length:.3g} world units long in all"
+        return "none"
+    return f"{counted(rims, 'open rim')}, {length:.3g} world units in all"
 
 
 def open_rims(mesh: UvMesh) -> tuple[int, float]:

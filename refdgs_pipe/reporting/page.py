@@ -65,12 +65,7 @@ SECTIONS = (
     Section("light", "Surroundings", ("views", "surroundings"), (Asset,)),
     Section("mesh", "Mesh", ("asset", "turntable"), (SparseModel, TexturedMesh)),
     Section("atlas", "Atlas", ("asset", "atlas"), (TexturedMesh,)),
-    Section(
-        "coverage",
-        "Coverage and holes",
-        ("coverage", "coverage"),
-        (SparseModel, TexturedMesh),
-    ),
+    Section("coverage", "Coverage", ("coverage", "coverage"), (SparseModel, TexturedMesh)),
     Section("scores", "Evaluation", ("records", "scores"), (Scores,)),
     Section("files", "Files and validators", ("records", "files"), (Asset,)),
     Section("stages", "Stages", ("records", "stages")),
