@@ -55,6 +55,6 @@ def clean(
         job.measure(name, value, unit)
     if (lost := done.removed.area_share) > 0.2:
         job.warn(f"{lost:.0%} of the fused surface was loose pieces and is removed")
-    render = partial(render_surface_map, field, device=job.device, threads=job.threads)
-    draw = partial(support.render_above, under, render)
+    # A removed table still covers what is behind the object: such outlines are too far to count.
+    draw = partial(render_surface_map, field, device=job.device, threads=job.threads)
     return fitted(done.mesh, model, draw, rounds=params.outlines, track=job.track)

@@ -5,15 +5,12 @@ something standing on it. A box's lid has nothing on it; the bottom of a cup rea
 nothing.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from refdgs_pipe.artifacts.mesh import TriangleMesh
-from refdgs_pipe.artifacts.surface_map import SurfaceMap
-from refdgs_pipe.camera import Camera
 from refdgs_pipe.errors import MeshError
 from refdgs_pipe.surface.topology import compacted, face_areas, pieces
 
@@ -122,19 +119,6 @@ def above_support(mesh: TriangleMesh, support: Support) -> TriangleMesh:
     foot = heights < support.margin * (1 + 1e-3)
     drawn_down = kept.vertices - np.where(foot, heights, 0)[:, None] * support.normal
     return compacted(drawn_down, kept.faces[rises])
-
-
-def render_above(
-    support: Support | None, render: Callable[[Camera], SurfaceMap], camera: Camera
-) -> SurfaceMap:
-    """What a camera sees, the support and all below it uncovered (alpha 0)."""
-    view = render(camera)
-    if support is None:
-        return view
-    seen = view.camera
-    rays = seen.pixel_rays() @ seen.cam_from_world[:3, :3]
-    above = support.heights(seen.center + rays * view.depth[..., None]) > support.margin
-    return replace(view, alpha=np.where(above, view.alpha, np.float32(0)))
 
 
 def figures(support: Support | None) -> list[tuple[str, float, str]]:

@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
-from scenes import Box, Scene, constant, gradient_sky, look_at
 from solids import cube_corners, joined, sphere
 
 from refdgs_pipe.artifacts.mesh import TriangleMesh
 from refdgs_pipe.errors import MeshError
-from refdgs_pipe.surface.support import Support, above_support, find_support, render_above
+from refdgs_pipe.surface.support import Support, above_support, find_support
 from refdgs_pipe.surface.topology import compacted, pieces, rims
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -130,15 +129,3 @@ def test_a_plane_with_nothing_above_it_cannot_be_cut_off() -> None:
         above_support(table(), Support(UP, 0.0, 0.02, 0.04, 1.0))
     with pytest.raises(MeshError, match=r"use clean\.keep=all"):
         above_support(table(), Support(UP, 5.0, 0.02, 0.04, 1.0))
-
-
-def test_outlines_are_those_without_the_table() -> None:
-    crate = Box((-0.3, -0.2, 0.0), (0.3, 0.2, 0.5), constant(1, 1, 1))
-    board = Box((-1.0, -1.0, -0.1), (1.0, 1.0, 0.0), constant(1, 1, 1))
-    camera = look_at("a", np.array([2.0, 3.0, 2.0]), size=80, focal=100)
-    render = Scene((crate, board), gradient_sky).surface_map
-    both, alone = render(camera), Scene((crate,), gradient_sky).surface_map(camera)
-    hidden = render_above(Support(UP, 0.0, 0.002, 0.04, 0.5), render, camera)
-    np.testing.assert_array_equal(render_above(None, render, camera).alpha, both.alpha)
-    assert both.alpha.mean() > 3 * alone.alpha.mean()
-    assert np.abs(hidden.alpha - alone.alpha).mean() < 0.005
