@@ -22,7 +22,7 @@ def train(views: Views, model: SparseModel, params: TrainParams, job: Job) -> Su
     if job.device == "cuda":
         params = planned(params, model, vram=job.vram, warn=job.warn)
     trainer, field = train_within(
-        lambda p: Trainer(views, model, p, job.scratch, device=job.device),
+        lambda p: Trainer(views, model, p, job.scratch, device=job.device, warn=job.warn),
         params,
         lambda done, total, note, work: job.progress("training", done, total, note, work),
         job.warn,

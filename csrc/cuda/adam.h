@@ -13,6 +13,7 @@ template <class S> struct AdamTensor {
   const S* gradient;
   S *mean, *square;  // running means of the gradient and of its square
   float* step;       // [1] steps taken so far
+  const S* rate_at;  // [1] the rate on the device; null: `rate`
   int64_t count;
   S rate;
   int32_t end;       // the block after its last one

@@ -22,7 +22,7 @@ template <class S> struct AdamUpdate {
     const AdamTensor<S>& mine = f.tensor[k];
     if (t.thread() == 0) {  // both biases need the digits of a double
       const double step = double(*mine.step) + 1;
-      s.by_mean = S(double(mine.rate) / -std::expm1(step * std::log(f.beta1)));
+      s.by_mean = S(double(mine.rate_at ? *mine.rate_at : mine.rate) / -std::expm1(step * std::log(f.beta1)));
       s.by_square = S(1 / std::sqrt(-std::expm1(step * std::log(f.beta2))));
     }
     t.sync();

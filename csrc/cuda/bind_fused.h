@@ -7,6 +7,7 @@
 #include "bind_raster.h"
 #include "image_loss.h"
 #include "mlp.h"
+#include "photo.h"
 #include "shade.h"
 #include "sph_mip.h"
 
@@ -15,13 +16,14 @@ namespace refdgs::cuda {
 namespace nb = nanobind;
 template <class S, class Queue> void bind_image_loss(nb::module_& m, const std::string& type) {
   // images: image, target; constants: weight (or 0), each; outputs: slopes, gradient, map (each or 0), parts,
-  // sums, loss (or 0).
+  // sums, loss and error (both or 0).
   m.def(("image_loss_" + type).c_str(), [](Address stream, Size shape, Images images, Addresses constants,
                                            Numbers shares, Addresses outputs) {
     nb::gil_scoped_release release;
     LossCall<S> call{int(shape[1]), int(shape[0]), int(shape[2]), image<S>(images[0]), image<S>(images[1]),
                      at<S>(constants[0]), at<S>(constants[1]), S(shares[0]), S(shares[1]), {}, at<S>(outputs[0]),
-                     at<S>(outputs[1]), at<S>(outputs[2]), at<S>(outputs[3]), at<S>(outputs[4]), at<S>(outputs[5])};
+                     at<S>(outputs[1]), at<S>(outputs[2]), at<S>(outputs[3]), at<S>(outputs[4]), at<S>(outputs[5]),
+                     at<S>(outputs[6])};
     image_loss(Queue{at<void>(stream)}, call);
   });
 }
@@ -102,17 +104,18 @@ template <class S, class Queue> void bind_shade(nb::module_& m, const std::strin
                    at<void>(memory[2]), bytes);
   });
   m.def(("shading_inputs_" + type).c_str(), [](Address stream, Size size, Numbers numbers, int64_t count,
-                                               Address pixels, int channels, Images images, Tables out) {
+                                               Address lens, Address pixels, int channels, Images images,
+                                               Tables out) {
     nb::gil_scoped_release release;
     shading_inputs(Queue{at<void>(stream)}, covered<S>(size, numbers, count, pixels, channels, images),
-                   inputs<S>(out));
+                   at<const S>(lens), inputs<S>(out));
   });
   m.def(("shading_inputs_bwd_" + type).c_str(), [](Address stream, Size size, Numbers numbers, int64_t count,
-                                                   Address pixels, int channels, Images images, Tables v,
-                                                   Addresses grads) {
+                                                   Address lens, Address pixels, int channels, Images images,
+                                                   Tables v, Addresses grads) {
     nb::gil_scoped_release release;
     shading_inputs_bwd(Queue{at<void>(stream)}, covered<S>(size, numbers, count, pixels, channels, images),
-                       inputs<const S>(v),
+                       at<const S>(lens), inputs<const S>(v),
                        MapGrads<S>{at<S>(grads[0]), at<S>(grads[1]), at<S>(grads[2]), at<S>(grads[3])});
   });
   m.def(("composite_" + type).c_str(), [](Address stream, Size size, int64_t count, Address pixels, Tables tables,
@@ -129,19 +132,40 @@ template <class S, class Queue> void bind_shade(nb::module_& m, const std::strin
                   at<const S>(backdrop), image<S>(v_image[0]), at<S>(grads[0]), at<S>(grads[1]), at<S>(grads[2]));
   });
   // images: normal, depth, alpha; grads: of these three and working memory, or all 0; sums: parts, sum.
-  m.def(("normal_agreement_" + type).c_str(), [](Address stream, Size size, Numbers numbers, Images images,
-                                                 double scale, double edge, Addresses grads, Addresses sums) {
+  m.def(("normal_agreement_" + type).c_str(), [](Address stream, Size size, Numbers numbers, Address lens,
+                                                 Images images, double scale, double edge, Addresses grads,
+                                                 Addresses sums) {
     nb::gil_scoped_release release;
     normal_agreement(Queue{at<void>(stream)},
                      Agreement<S>{view_of<S>(size, numbers), image<S>(images[0]), image<S>(images[1]),
                                   image<S>(images[2]), S(scale), S(edge), at<S>(grads[0]), at<S>(grads[1]),
                                   at<S>(grads[2])},
-                     at<S>(grads[3]), at<S>(sums[0]), at<S>(sums[1]));
+                     at<const S>(lens), at<S>(grads[3]), at<S>(sums[0]), at<S>(sums[1]));
+  });
+}
+
+template <class S, class Queue> void bind_photo(nb::module_& m, const std::string& type) {
+  // photo: rgb, mask (or 0).
+  m.def(("composited_" + type).c_str(), [](Address stream, Size size, Addresses photo, Address backdrop, Address out) {
+    nb::gil_scoped_release release;
+    composited(Queue{at<void>(stream)},
+               Photo{int(size[1]), int(size[0]), at<const uint8_t>(photo[0]), at<const uint8_t>(photo[1])},
+               at<const S>(backdrop), at<S>(out));
+  });
+  // out: gradient (or 0), parts, loss.
+  m.def(("mask_entropy_" + type).c_str(), [](Address stream, Size size, Images alpha, Address mask, double scale,
+                                             Addresses out) {
+    nb::gil_scoped_release release;
+    mask_entropy(Queue{at<void>(stream)},
+                 MaskEntropy<S>{int(size[1]), int(size[0]), image<S>(alpha[0]), at<const uint8_t>(mask), S(scale),
+                                at<S>(out[0])},
+                 at<S>(out[1]), at<S>(out[2]));
   });
 }
 
 template <class S, class Queue> void bind_adam(nb::module_& m, const std::string& type) {
-  // addresses: of each tensor values, gradient, mean, square, step; constants: both betas, epsilon.
+  // addresses: of each tensor values, gradient, mean, square, step and rate (or 0: that in rates); constants: both
+  // betas, epsilon.
   m.def(("adam_" + type).c_str(), [](Address stream, Addresses addresses, Size counts, Numbers rates,
                                      Numbers constants, Address misfit) {
     nb::gil_scoped_release release;
@@ -149,9 +173,9 @@ template <class S, class Queue> void bind_adam(nb::module_& m, const std::string
     AdamCall<S> call{};
     call.tensors = int(counts.size());
     for (size_t k = 0; k < counts.size(); ++k) {
-      const Address* of = &addresses[5 * k];
-      call.tensor[k] = {at<S>(of[0]), at<S>(of[1]), at<S>(of[2]), at<S>(of[3]), at<float>(of[4]), counts[k],
-                        S(rates[k]), 0};
+      const Address* of = &addresses[6 * k];
+      call.tensor[k] = {at<S>(of[0]), at<S>(of[1]), at<S>(of[2]), at<S>(of[3]), at<float>(of[4]),
+                        at<const S>(of[5]), counts[k], S(rates[k]), 0};
     }
     call.beta1 = constants[0], call.beta2 = constants[1], call.epsilon = S(constants[2]);
     call.misfit = at<const float>(misfit);

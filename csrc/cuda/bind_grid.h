@@ -10,6 +10,7 @@ template <class S, class Queue> void bind_grid(nanobind::module_& m, const std::
   bind_image_loss<S, Queue>(m, type);
   bind_mlp<S, Queue>(m, type);
   bind_shade<S, Queue>(m, type);
+  bind_photo<S, Queue>(m, type);
   bind_sph_mip<S, Queue>(m, type);
 }
 

@@ -18,13 +18,15 @@ struct RasterCall {
   std::vector<int64_t> shape;
   std::vector<Address> in;
   std::vector<double> camera;
-  Address by_surfel, by_entry;
+  Address lens, by_surfel, by_entry;
 };
 
 template <class S> Drawing<S> drawing(const RasterCall& c, RasterSizes* sizes = nullptr) {
   const auto& n = c.shape;
-  return lay_out<S>(surfels<S>(c.in, n[0], int(n[1])), pinhole<S>(c.camera, int(n[2]), int(n[3])), Extra(n[4]),
-                    n[5] != 0, n[6], at<void>(c.by_surfel), at<void>(c.by_entry), sizes);
+  Drawing<S> d = lay_out<S>(surfels<S>(c.in, n[0], int(n[1])), pinhole<S>(c.camera, int(n[2]), int(n[3])),
+                            Extra(n[4]), n[5] != 0, n[6], at<void>(c.by_surfel), at<void>(c.by_entry), sizes);
+  d.lens = at<const S>(c.lens);
+  return d;
 }
 
 template <class S, class Queue> void bind_raster(nanobind::module_& m, const std::string& type) {
@@ -37,34 +39,34 @@ template <class S, class Queue> void bind_raster(nanobind::module_& m, const std
   m.def(("raster_sizes_" + type).c_str(), [](Address stream, Shape shape) {
     const Queue q{at<void>(stream)};
     RasterSizes sizes{};
-    drawing<S>({stream, shape, std::vector<Address>(5), std::vector<double>(17), 0, 0}, &sizes);
+    drawing<S>({stream, shape, std::vector<Address>(5), std::vector<double>(17), 0, 0, 0}, &sizes);
     sizes.scan = int64_t(q.scan_bytes(shape[0] + 1));
     sizes.sort = sort_scratch(q, shape[6]);
     return std::vector<int64_t>{sizes.by_surfel, sizes.by_entry, sizes.scan, sizes.sort};
   });
-  // The first shape[0] + 1 numbers of by_surfel become the sums of entries.
-  m.def(("raster_project_" + type).c_str(), [](Address stream, Shape shape, Addresses in, Numbers camera,
+  // The first shape[0] + 1 numbers of by_surfel become the sums of entries. lens: see lens.h, or 0.
+  m.def(("raster_project_" + type).c_str(), [](Address stream, Shape shape, Addresses in, Numbers camera, Address lens,
                                                Address by_surfel, Address radii, Address scratch, int64_t bytes) {
     nb::gil_scoped_release release;
-    project(Queue{at<void>(stream)}, drawing<S>({stream, shape, in, camera, by_surfel, 0}), at<S>(radii),
+    project(Queue{at<void>(stream)}, drawing<S>({stream, shape, in, camera, lens, by_surfel, 0}), at<S>(radii),
             at<void>(scratch), bytes);
   });
   // plan: where the number of entries goes and what says that they do not fit; zeros where shape has that number.
-  m.def(("raster_draw_" + type).c_str(), [](Address stream, Shape shape, Addresses in, Numbers camera,
+  m.def(("raster_draw_" + type).c_str(), [](Address stream, Shape shape, Addresses in, Numbers camera, Address lens,
                                             Address by_surfel, Address by_entry, Address scratch, Address maps,
                                             Address moments, Addresses plan) {
     nb::gil_scoped_release release;
-    Drawing<S> d = drawing<S>({stream, shape, in, camera, by_surfel, by_entry});
+    Drawing<S> d = drawing<S>({stream, shape, in, camera, lens, by_surfel, by_entry});
     d.maps = at<S>(maps), d.moments = at<S>(moments);
     d.needed = at<int64_t>(plan[0]), d.misfit = at<float>(plan[1]);
     bin_and_draw(Queue{at<void>(stream)}, d, at<void>(scratch));
   });
   // working: slots, activity, sums, pose parts (or 0); out: the seven of SurfelGrads.
-  m.def(("raster_backward_" + type).c_str(), [](Address stream, Shape shape, Addresses in, Numbers camera,
+  m.def(("raster_backward_" + type).c_str(), [](Address stream, Shape shape, Addresses in, Numbers camera, Address lens,
                                                 Address by_surfel, Address by_entry, Address maps, Address moments,
                                                 Images v_maps, Addresses working, Addresses out) {
     nb::gil_scoped_release release;
-    Drawing<S> d = drawing<S>({stream, shape, in, camera, by_surfel, by_entry});
+    Drawing<S> d = drawing<S>({stream, shape, in, camera, lens, by_surfel, by_entry});
     d.maps = at<S>(maps), d.moments = at<S>(moments);
     DrawingGrads<S> g{};
     for (int k = 0; k < kPlaneKinds; ++k) g.maps[k] = image<S>(v_maps[size_t(k)]);

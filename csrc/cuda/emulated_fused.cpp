@@ -2,6 +2,7 @@
 #include "adam.inl"
 #include "image_loss.inl"
 #include "mlp.inl"
+#include "photo.inl"
 #include "shade.inl"
 #include "sph_mip.inl"
 
@@ -11,6 +12,7 @@ namespace refdgs::cuda {
   REFDGS_ADAM(S, EmulatedQueue)         \
   REFDGS_IMAGE_LOSS(S, EmulatedQueue)   \
   REFDGS_MLP(S, EmulatedQueue)          \
+  REFDGS_PHOTO(S, EmulatedQueue)        \
   REFDGS_SHADE(S, EmulatedQueue)        \
   REFDGS_SPH_MIP(S, EmulatedQueue)
 REFDGS_EMULATED(float)

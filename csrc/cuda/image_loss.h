@@ -18,9 +18,10 @@ template <class S> struct LossCall {
   S* slopes;        // [3][C][H][W] scratch, null without a gradient
   S* gradient;      // [C][H][W], may be null
   S* map;           // [C][H][W] SSIM, may be null
-  S* parts;         // [blocks][2] scratch
-  S* sums;          // [2] weighted |x - y| and weighted SSIM
-  S* loss;          // [1] their shares times `each`, and ssim_share's part of what no pixel changes; may be null
+  S* parts;         // [blocks][kLossSums] scratch
+  S* sums;          // [kLossSums] as on the CPU
+  S* loss;          // [1] shares of the first two times `each`, and ssim_share's part of what no pixel changes
+  S* error;         // [1] the third times `each`; null with `loss`
 
   REFDGS_HD int across() const { return (width + kLossTile - 1) / kLossTile; }
   REFDGS_HD int down() const { return (height + kLossTile - 1) / kLossTile; }

@@ -49,7 +49,7 @@ template <class S> struct CompareTiles {
   struct Shared {
     S x[kLossWide * kLossWide], y[kLossWide * kLossWide];
     S blurred[5][kLossTile * kLossWide];
-    S sums[kWarps][2];
+    S sums[kWarps][kLossSums];
   };
   LossCall<S> f;
 
@@ -69,15 +69,15 @@ template <class S> struct CompareTiles {
       for (int q = 0; q < 5; ++q) s.blurred[q][i] = m[q];
     }
     t.sync();
-    S sums[2] = {};
+    S sums[kLossSums] = {};
     if (p.inside) compare(t, s, p, sums);
-    const S total = sum_lanes<2>(t, sums);
-    if (t.lane() < 2) s.sums[t.warp()][t.lane()] = total;
+    const S total = sum_lanes<kLossSums>(t, sums);
+    if (t.lane() < kLossSums) s.sums[t.warp()][t.lane()] = total;
     t.sync();
-    if (t.thread() >= 2) return;
+    if (t.thread() >= kLossSums) return;
     S sum = 0;
     for (int w = 0; w < kWarps; ++w) sum += s.sums[w][t.thread()];
-    f.parts[2 * int64_t(t.block()) + t.thread()] = sum;
+    f.parts[kLossSums * int64_t(t.block()) + t.thread()] = sum;
   }
 
   template <class Thread>
@@ -93,8 +93,8 @@ template <class S> struct CompareTiles {
     const S by_xx = -ssim * ib2, by_xy = 2 * a1 * ib1 * ib2;
     const S by_mx = 2 * (my * a2 * ib1 * ib2 - mx * ssim * ib1 - mx * by_xx) - my * by_xy;
     const int middle = (ty + kLossReach) * kLossWide + tx + kLossReach;
-    sums[0] = w * std::fabs(s.x[middle] - s.y[middle]);
-    sums[1] = w * ssim;
+    const S d = s.x[middle] - s.y[middle];
+    sums[0] = w * std::fabs(d), sums[1] = w * ssim, sums[2] = w * d * d;
     const int64_t plane = int64_t(f.width) * f.height, at = p.channel * plane + int64_t(p.y) * f.width + p.x;
     if (f.map) f.map[at] = ssim;
     if (!f.slopes) return;
@@ -113,6 +113,7 @@ template <class S> struct FinishLoss {
     if (t.thread()) return;
     const S each = *f.each;
     *f.loss = each > 0 ? each * (f.l1_share * f.sums[0] + f.ssim_share * f.sums[1]) - f.ssim_share : S(0);
+    *f.error = each > 0 ? each * f.sums[2] : S(0);
   }
 };
 

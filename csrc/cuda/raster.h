@@ -6,6 +6,7 @@
 #include "../ops/image_loss.h"  // Image
 #include "../ops/raster.h"
 #include "../ops/rasterize.h"
+#include "lens.h"
 #include "queue.h"
 
 namespace refdgs::cuda {
@@ -20,6 +21,7 @@ enum Plane { kFeatures, kAlpha, kNormal, kDepth, kMedian, kDistortion, kPlaneKin
 template <class S> struct Drawing {
   Surfels<S> surfels;
   Pinhole<S> cam;
+  const S* lens;           // what of the camera lies on the device, see lens.h; may be null
   Extra extra;
   bool normals;
   int padded, stride;      // channels of a record; scalars of a record

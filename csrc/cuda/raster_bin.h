@@ -26,7 +26,8 @@ template <class S> struct Project {
     if (i >= d.surfels.count) return;
     const Surfels<S>& in = d.surfels;
     const S opacity = in.opacities[i];
-    const auto p = refdgs::project(in.means + 3 * i, in.quats + 4 * i, in.scales + 2 * i, opacity, d.cam);
+    const Pinhole<S> cam = seen_through(d.lens, d.cam);
+    const auto p = refdgs::project(in.means + 3 * i, in.quats + 4 * i, in.scales + 2 * i, opacity, cam);
     radii[i] = p.radius;
     d.boxes[i] = p.box;
     if (p.box.x1 < p.box.x0) return;
@@ -34,7 +35,7 @@ template <class S> struct Project {
     uint32_t bits;
     memcpy(&bits, &z, 4);
     d.depths[i] = bits;
-    write_record(p, d.cam, opacity, in.features + i * in.channels, in.channels, d.normals, d.padded,
+    write_record(p, cam, opacity, in.features + i * in.channels, in.channels, d.normals, d.padded,
                  d.records + i * d.stride);
   }
 };

@@ -69,8 +69,9 @@ template <class S> struct SurfelVjp {
     out.screen[2 * i + 1] = std::sqrt(g[10] * g[10] + g[11] * g[11]);
     SurfelGrad<S> to{};
     if (d.slot_start[i + 1] > d.slot_start[i])
-      to = record_vjp(d.surfels.means + 3 * i, d.surfels.quats + 4 * i, d.surfels.scales + 2 * i, d.cam,
-                      d.records + i * d.stride, g, d.normals ? g + kGradHead + channels : nullptr);
+      to = record_vjp(d.surfels.means + 3 * i, d.surfels.quats + 4 * i, d.surfels.scales + 2 * i,
+                      seen_through(d.lens, d.cam), d.records + i * d.stride, g,
+                      d.normals ? g + kGradHead + channels : nullptr);
     for (int c = 0; c < 3; ++c) out.means[3 * i + c] = to.mean[c];
     for (int c = 0; c < 4; ++c) out.quats[4 * i + c] = to.quat[c];
     for (int c = 0; c < 2; ++c) out.scales[2 * i + c] = to.scale[c];

@@ -1,6 +1,6 @@
 // The operations of ops/shade.h on the grid; a sum stays on the device.
 #pragma once
-#include "../ops/shade.h"
+#include "lens.h"
 #include "queue.h"
 
 namespace refdgs::cuda {
@@ -25,11 +25,13 @@ template <class S> struct CoveredCall {
 template <class S, class Queue>
 void covered_pixels(const Queue& q, const CoveredCall<S>& call, void* scratch, int64_t bytes);
 
+// lens: see lens.h; may be null.
 template <class S, class Queue>
-void shading_inputs(const Queue& q, const Covered<S>& at, const Inputs<S>& out);
+void shading_inputs(const Queue& q, const Covered<S>& at, const S* lens, const Inputs<S>& out);
 // Writes covered pixels only: elsewhere the gradients must be zero before.
 template <class S, class Queue>
-void shading_inputs_bwd(const Queue& q, const Covered<S>& at, const Inputs<const S>& v, const MapGrads<S>& grads);
+void shading_inputs_bwd(const Queue& q, const Covered<S>& at, const S* lens, const Inputs<const S>& v,
+                        const MapGrads<S>& grads);
 // backdrop: [3] on the device.
 template <class S, class Queue>
 void composite(const Queue& q, const Composite<S>& in, const S* backdrop, S* image);
@@ -38,6 +40,6 @@ void composite_bwd(const Queue& q, const Composite<S>& in, const S* backdrop, Im
                    S* v_object_alpha, S* v_alpha);
 // slopes: [6][H][W] scratch, null with the gradients; parts: one for each kAgreementThreads pixels; sum: [1].
 template <class S, class Queue>
-void normal_agreement(const Queue& q, const Agreement<S>& in, S* slopes, S* parts, S* sum);
+void normal_agreement(const Queue& q, const Agreement<S>& in, const S* lens, S* slopes, S* parts, S* sum);
 
 }  // namespace refdgs::cuda

@@ -12,13 +12,14 @@ void covered_pixels(const Queue& q, const CoveredCall<S>& call, void* scratch, i
 }
 
 template <class S, class Queue>
-void shading_inputs(const Queue& q, const Covered<S>& at, const Inputs<S>& out) {
-  q.run(blocks_for(at.count, GatherInputs<S>::kThreads), GatherInputs<S>{at, out});
+void shading_inputs(const Queue& q, const Covered<S>& at, const S* lens, const Inputs<S>& out) {
+  q.run(blocks_for(at.count, GatherInputs<S>::kThreads), GatherInputs<S>{at, lens, out});
 }
 
 template <class S, class Queue>
-void shading_inputs_bwd(const Queue& q, const Covered<S>& at, const Inputs<const S>& v, const MapGrads<S>& grads) {
-  q.run(blocks_for(at.count, GatherInputsBwd<S>::kThreads), GatherInputsBwd<S>{at, v, grads});
+void shading_inputs_bwd(const Queue& q, const Covered<S>& at, const S* lens, const Inputs<const S>& v,
+                        const MapGrads<S>& grads) {
+  q.run(blocks_for(at.count, GatherInputsBwd<S>::kThreads), GatherInputsBwd<S>{at, lens, v, grads});
 }
 
 template <class S, class Queue>
@@ -38,20 +39,20 @@ void composite_bwd(const Queue& q, const Composite<S>& in, const S* backdrop, Im
 }
 
 template <class S, class Queue>
-void normal_agreement(const Queue& q, const Agreement<S>& in, S* slopes, S* parts, S* sum) {
+void normal_agreement(const Queue& q, const Agreement<S>& in, const S* lens, S* slopes, S* parts, S* sum) {
   const int64_t plane = int64_t(in.view.width) * in.view.height, blocks = blocks_for(plane, kAgreementThreads);
-  q.run(blocks, AgreeNormals<S>{in, slopes, parts});
+  q.run(blocks, AgreeNormals<S>{in, lens, slopes, parts});
   q.run(1, SumRows<S>{parts, blocks, 1, sum});
-  if (slopes) q.run(blocks_for(plane, AgreeNormalsBwd<S>::kThreads), AgreeNormalsBwd<S>{in, slopes});
+  if (slopes) q.run(blocks_for(plane, AgreeNormalsBwd<S>::kThreads), AgreeNormalsBwd<S>{in, lens, slopes});
 }
 
 #define REFDGS_SHADE(S, Queue)                                                                               \
   template void covered_pixels<S, Queue>(const Queue&, const CoveredCall<S>&, void*, int64_t);               \
-  template void shading_inputs<S, Queue>(const Queue&, const Covered<S>&, const Inputs<S>&);                 \
-  template void shading_inputs_bwd<S, Queue>(const Queue&, const Covered<S>&, const Inputs<const S>&,        \
-                                             const MapGrads<S>&);                                            \
+  template void shading_inputs<S, Queue>(const Queue&, const Covered<S>&, const S*, const Inputs<S>&);       \
+  template void shading_inputs_bwd<S, Queue>(const Queue&, const Covered<S>&, const S*,                      \
+                                             const Inputs<const S>&, const MapGrads<S>&);                    \
   template void composite<S, Queue>(const Queue&, const Composite<S>&, const S*, S*);                        \
   template void composite_bwd<S, Queue>(const Queue&, const Composite<S>&, const S*, Image<S>, S*, S*, S*);  \
-  template void normal_agreement<S, Queue>(const Queue&, const Agreement<S>&, S*, S*, S*);
+  template void normal_agreement<S, Queue>(const Queue&, const Agreement<S>&, const S*, S*, S*, S*);
 
 }  // namespace refdgs::cuda

@@ -24,9 +24,10 @@ template <class S> REFDGS_KERNEL S& row_of(const Rows<S>& rows, int64_t i, int c
 template <class S> REFDGS_KERNEL Vec3<S> ray_of(const View<S>& view, int64_t y, int64_t x) {  // camera, z = 1
   return {(S(x) + S(0.5) - view.cx) / view.fx, (S(y) + S(0.5) - view.cy) / view.fy, S(1)};
 }
-template <class S> REFDGS_KERNEL Mirror<S> mirror_of(const Covered<S>& at, int64_t y, int64_t x) {
-  const Vec3<S> r = ray_of(at.view, y, x);
-  return {rotate(at.view.world_from_cam, (1 / std::sqrt(dot(r, r))) * r), three_of(at.normal, y, x)};
+template <class S>
+REFDGS_KERNEL Mirror<S> mirror_of(const View<S>& view, const Image<S>& normal, int64_t y, int64_t x) {
+  const Vec3<S> r = ray_of(view, y, x);
+  return {rotate(view.world_from_cam, (1 / std::sqrt(dot(r, r))) * r), three_of(normal, y, x)};
 }
 
 // How many pixels of a block are covered; of the block past the last, none.
@@ -87,6 +88,7 @@ template <class S> struct GatherInputs {
   static constexpr int kThreads = 256;
   using Shared = Nothing;
   Covered<S> at;
+  const S* lens;
   Inputs<S> out;
 
   template <class Thread> REFDGS_KERNEL void operator()(Thread& t, Shared&) const {
@@ -97,7 +99,7 @@ template <class S> struct GatherInputs {
     const S whole = 1 / pixel_of(at.alpha, y, x, 0);
     for (int c = 0; c < 3; ++c) row_of(out.diffuse, i, c) = pixel_of(at.features, y, x, c) * whole;
     row_of(out.roughness, i, 0) = pixel_of(at.features, y, x, 3) * whole;
-    const Mirror<S> mirror = mirror_of(at, y, x);
+    const Mirror<S> mirror = mirror_of(seen_through(lens, at.view), at.normal, y, x);
     const Vec3<S> to = mirror.out.unit;
     row_of(out.reflected, i, 0) = to.x, row_of(out.reflected, i, 1) = to.y, row_of(out.reflected, i, 2) = to.z;
     row_of(out.cosine, i, 0) = mirror.cosine();
@@ -118,6 +120,7 @@ template <class S> struct GatherInputsBwd {
   static constexpr int kThreads = 256;
   using Shared = Nothing;
   Covered<S> at;
+  const S* lens;
   Inputs<const S> v;
   MapGrads<S> grads;
 
@@ -136,7 +139,8 @@ template <class S> struct GatherInputsBwd {
     }
     grads.alpha[p] = v_alpha;
     const Vec3<S> v_out{row_of(v.reflected, i, 0), row_of(v.reflected, i, 1), row_of(v.reflected, i, 2)};
-    const Vec3<S> n = mirror_of(at, y, x).vjp(v_out, row_of(v.cosine, i, 0));
+    const Mirror<S> mirror = mirror_of(seen_through(lens, at.view), at.normal, y, x);
+    const Vec3<S> n = mirror.vjp(v_out, row_of(v.cosine, i, 0));
     grads.normal[p] = n.x, grads.normal[plane + p] = n.y, grads.normal[2 * plane + p] = n.z;
     if (at.near.data)
       for (int c = 0; c < 4; ++c) grads.near[c * plane + p] = row_of(v.near, i, c);
@@ -231,6 +235,7 @@ template <class S> struct AgreeNormals {
     S sums[kWarps];
   };
   Agreement<S> in;
+  const S* lens;
   S *slopes, *parts;
 
   template <class Thread> REFDGS_KERNEL void operator()(Thread& t, Shared& s) const {
@@ -247,9 +252,9 @@ template <class S> struct AgreeNormals {
     parts[t.block()] = sum;
   }
 
-  REFDGS_KERNEL Vec3<S> point(int64_t y, int64_t x) const {
+  REFDGS_KERNEL Vec3<S> point(const View<S>& view, int64_t y, int64_t x) const {
     const S a = pixel_of(in.alpha, y, x, 0);
-    return (pixel_of(in.depth, y, x, 0) / (a < S(1e-6) ? S(1e-6) : a)) * ray_of(in.view, y, x);
+    return (pixel_of(in.depth, y, x, 0) / (a < S(1e-6) ? S(1e-6) : a)) * ray_of(view, y, x);
   }
 
   REFDGS_KERNEL S agree(int64_t y, int64_t x, int64_t plane) const {
@@ -259,11 +264,13 @@ template <class S> struct AgreeNormals {
     S parts_of[6] = {}, sum = 0;
     Vec3<S> v_normal{0, 0, 0};
     if (!border && weight != 0) {
-      const Vec3<S> above = point(y - 1, x), below = point(y + 1, x), left = point(y, x - 1), next = point(y, x + 1);
-      const S here = point(y, x).z;
-      if (bend_of<S>(above.z, below.z, left.z, next.z, here) * in.view.fx < in.edge * here) {
+      const View<S> view = seen_through(lens, in.view);
+      const Vec3<S> above = point(view, y - 1, x), below = point(view, y + 1, x);
+      const Vec3<S> left = point(view, y, x - 1), next = point(view, y, x + 1);
+      const S here = point(view, y, x).z;
+      if (bend_of<S>(above.z, below.z, left.z, next.z, here) * view.fx < in.edge * here) {
         const Vec3<S> splatted = three_of(in.normal, y, x);
-        const NormalPair<S> pair(below - above, next - left, splatted, in.view.world_from_cam, -in.scale * weight);
+        const NormalPair<S> pair(below - above, next - left, splatted, view.world_from_cam, -in.scale * weight);
         sum = weight * (1 - pair.agreement);
         parts_of[0] = pair.v_down.x, parts_of[1] = pair.v_down.y, parts_of[2] = pair.v_down.z;
         parts_of[3] = pair.v_right.x, parts_of[4] = pair.v_right.y, parts_of[5] = pair.v_right.z;
@@ -282,7 +289,7 @@ template <class S> struct AgreeNormalsBwd {
   static constexpr int kThreads = 256;
   using Shared = Nothing;
   Agreement<S> in;
-  const S* slopes;
+  const S *lens, *slopes;
 
   template <class Thread> REFDGS_KERNEL void operator()(Thread& t, Shared&) const {
     const int64_t width = in.view.width, height = in.view.height, plane = width * height;
@@ -294,7 +301,8 @@ template <class S> struct AgreeNormalsBwd {
       return {from[0], from[plane], from[2 * plane]};
     };
     const Vec3<S> v = part(y - 1, x, 0) - part(y + 1, x, 0) + part(y, x - 1, 3) - part(y, x + 1, 3);
-    const S v_z = dot(v, ray_of(in.view, y, x)), a = pixel_of(in.alpha, y, x, 0), z = pixel_of(in.depth, y, x, 0);
+    const S v_z = dot(v, ray_of(seen_through(lens, in.view), y, x));
+    const S a = pixel_of(in.alpha, y, x, 0), z = pixel_of(in.depth, y, x, 0);
     const S divisor = a < S(1e-6) ? S(1e-6) : a;
     in.v_depth[p] = v_z / divisor;
     in.v_alpha[p] = a < S(1e-6) ? S(0) : -v_z * z / (divisor * divisor);

@@ -30,7 +30,7 @@ void sph_mip_bwd(const Queue& q, const LimitedQuery<S>& query, const S* v_out, c
   q.run(blocks_for(query.count, LookUpBwd<S>::kThreads), LookUpBwd<S>{query, v_out, grads, work});
   if (work.bits)
     q.run(blocks_for(int64_t(map.height) * map.width * kMipChannels, GatherLevels<S>::kThreads),
-          GatherLevels<S>{map.height, map.width, map.levels, query.count, work, grads.map.level[0]});
+          GatherLevels<S>{query, work, grads.map.level[0]});
 }
 
 #define REFDGS_SPH_MIP(S, Queue)                                                                            \

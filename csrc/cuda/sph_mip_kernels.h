@@ -169,7 +169,7 @@ template <class S> struct LookUpBwd {
     copy_quads<kMipChannels>(g, v_out + i * kMipChannels);
     S by_u = 0, by_v = 0, by_level = 0;
     const bool adds = work.bits && (g[0] != 0 || g[1] != 0 || g[2] != 0 || g[3] != 0);  // a NaN is not 0
-    const S unit = adds ? unit_of<S>(work.scale, q.count) : S(0);
+    const S unit = adds ? unit_of<S>(work.scale, q.last()) : S(0);
     for (int k = 0; k < 2; ++k) {
       const MipTexels<S> texels(q.map.level[pair.level[k]], pair.cell[k]);
       const S share = k ? pair.blend : 1 - pair.blend;
@@ -212,22 +212,22 @@ template <class S> struct LookUpBwd {
 template <class S> struct GatherLevels {
   static constexpr int kThreads = 256;
   using Shared = Nothing;
-  int height, width, levels;
-  int64_t count;
+  LimitedQuery<S> q;
   SphMipWork<S> work;
   S* out;
 
   template <class Thread> REFDGS_KERNEL void operator()(Thread& t, Shared&) const {
     const int64_t i = int64_t(t.block()) * kThreads + t.thread();
-    if (i >= int64_t(height) * width * kMipChannels) return;
+    const int width = q.map.width;
+    if (i >= int64_t(q.map.height) * width * kMipChannels) return;
     const int channel = int(i % kMipChannels);
     const int64_t texel = i / kMipChannels, row = texel / width, column = texel % width;
     const int64_t* bits = work.bits;
-    double sum = 0, share = 1 / double(unit_of<S>(work.scale, count));
-    for (int l = 0; l < levels; ++l, share *= 0.25) {
+    double sum = 0, share = 1 / double(unit_of<S>(work.scale, q.last()));
+    for (int l = 0; l < q.map.levels; ++l, share *= 0.25) {
       const int64_t w = width >> l;
       sum += share * double(bits[((row >> l) * w + (column >> l)) * kMipChannels + channel]);
-      bits += (height >> l) * w * kMipChannels;
+      bits += (q.map.height >> l) * w * kMipChannels;
     }
     out[i] = S(sum);
   }

@@ -7,6 +7,8 @@ from pathlib import Path
 from refdgs_pipe.errors import DeviceError, InputError
 
 DEVICES = ("auto", "cpu", "cuda")
+# what the driver shows on Linux, in containers that hide /proc, and on WSL (of any GPU)
+DRIVER_SIGNS = ("/proc/driver/nvidia/version", "/dev/nvidiactl", "/dev/nvidia0", "/dev/dxg")
 UNITS = {"MB": 10**6, "GB": 10**9, "MIB": 2**20, "GIB": 2**30}
 REBUILD = "Reinstall where nvcc is on the PATH: pip install --force-reinstall --no-deps ."
 
@@ -46,7 +48,7 @@ def bytes_of(text: str) -> int:
 
 def has_driver() -> bool:
     """Whether an NVIDIA driver runs on this machine, found out without loading anything."""
-    return Path("/proc/driver/nvidia/version").exists() or Path("/dev/nvidiactl").exists()
+    return any(Path(sign).exists() for sign in DRIVER_SIGNS)
 
 
 def cuda_problem() -> str | None:

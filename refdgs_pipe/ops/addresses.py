@@ -21,3 +21,8 @@ def lens_and_rotation(camera: Pinhole) -> list[float]:
     """fx, fy, cx, cy in pixels, and the rows of the rotation from the camera to the world."""
     rotation = camera.cam_from_world[:3, :3].detach().double().T.flatten().tolist()
     return [camera.fx, camera.fy, camera.cx, camera.cy, *rotation]
+
+
+def lens(camera: Pinhole) -> int:
+    """Address of the camera's numbers on the GPU, or 0."""
+    return 0 if camera.lens is None else camera.lens.data_ptr()

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from refdgs_pipe.ops import addresses, cuda
 
-LOSS_TILE = 16  # pixels along the edge of a block's tile
+LOSS_TILE, LOSS_SUMS = 16, 3  # pixels along the edge of a block's tile; its sums
 MLP_POINTS, MLP_HIDDEN = 64, 64  # points of a block's tile; width of hidden layers
 BLOCKS_PER_PROCESSOR = 3
 TENSOR_CORES = True  # for the network's hidden layers; else fused multiply-adds
@@ -24,21 +24,22 @@ def compare(
     *,
     gradient: Tensor | None = None,
     ssim: Tensor | None = None,
-    loss: Tensor | None = None,
+    loss: tuple[Tensor, Tensor] | None = None,
 ) -> Tensor:
-    """(2,) weighted sums of |image - target| and of SSIM.
+    """(3,) weighted sums of |image - target|, of SSIM and of (image - target)^2.
 
-    Fills `gradient` and `ssim`, (C, H, W), and `loss`, (1,), where they are given.
+    Fills `gradient` and `ssim`, (C, H, W), and `loss`, its two scalars of the loss and the mean
+    squared error, where they are given.
 
     Args:
         each: (1,) what one unit of weight counts for in the loss.
-        shares: of the two sums in the loss.
+        shares: of the first two sums in the loss.
     """
     height, width, channels = image.shape
     blocks = channels * -(-height // LOSS_TILE) * -(-width // LOSS_TILE)
-    sums = image.new_empty(2)
+    sums = image.new_empty(LOSS_SUMS)
     slopes = cuda.memory(0 if gradient is None else 3 * image.numel() * image.itemsize, image)
-    parts = cuda.memory(2 * blocks * image.itemsize, image)
+    parts = cuda.memory(LOSS_SUMS * blocks * image.itemsize, image)
     outputs = [0 if gradient is None else slopes.data_ptr()]
     outputs += [0 if t is None else t.data_ptr() for t in (gradient, ssim)]
     cuda.kernels("image_loss", image)(
@@ -46,18 +47,19 @@ def compare(
         [addresses.image(image), addresses.image(target)],
         [0 if weight is None else weight.data_ptr(), each.data_ptr()],
         list(shares),
-        [*outputs, parts.data_ptr(), sums.data_ptr(), 0 if loss is None else loss.data_ptr()],
+        [*outputs, parts.data_ptr(), sums.data_ptr(), *(t.data_ptr() for t in loss or ())]
+        + ([0, 0] if loss is None else []),
     )
     return sums
 
 
 class ImageLoss(torch.autograd.Function):
-    """Forward computes the whole gradient of the scalar and backward scales it."""
+    """The loss and the mean squared error; forward computes the whole gradient of the first."""
 
     @staticmethod
     def forward(
         ctx: Any, image: Tensor, target: Tensor, weight: Tensor | None, share: float
-    ) -> Tensor:
+    ) -> tuple[Tensor, Tensor]:
         weight = None if weight is None else weight.contiguous()
         height, width, channels = image.shape
         if weight is None:
@@ -67,9 +69,10 @@ class ImageLoss(torch.autograd.Function):
             each = torch.where(total > 0, 1 / total, 0.0)
         needed = ctx.needs_input_grad[0]
         ctx.gradient = image.new_empty(channels, height, width) if needed else None
-        shares, loss = (1 - share, -share), image.new_empty(1)
+        shares, loss = (1 - share, -share), (image.new_empty(()), image.new_empty(()))
         compare(image, target, weight, each, shares, gradient=ctx.gradient, loss=loss)
-        return loss[0]
+        ctx.mark_non_differentiable(loss[1])
+        return loss
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:

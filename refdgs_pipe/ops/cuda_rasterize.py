@@ -70,14 +70,15 @@ class _Rasterize(torch.autograd.Function):
         n, channels = inputs[4].shape
         padded, count = planes_of(channels, extra, normals)
         shape = [n, channels, camera.width, camera.height, EXTRAS[extra], int(normals), 0]
-        addresses, numbers = [t.data_ptr() for t in inputs], _numbers(camera)
+        pointers = [t.data_ptr() for t in inputs]
+        posed = (_numbers(camera), addresses.lens(camera))
 
         sizes = cuda.kernels("raster_sizes", like)(shape)
         by_surfel, scratch = cuda.memory(sizes[0], like), cuda.memory(sizes[2], like)
         cuda.kernels("raster_project", like)(
             shape,
-            addresses,
-            numbers,
+            pointers,
+            *posed,
             by_surfel.data_ptr(),
             statistics.radii.data_ptr(),
             scratch.data_ptr(),
@@ -97,8 +98,8 @@ class _Rasterize(torch.autograd.Function):
         moments = like.new_empty(2 if extra == "distortion" else 0, camera.height, camera.width)
         cuda.kernels("raster_draw", like)(
             shape,
-            addresses,
-            numbers,
+            pointers,
+            *posed,
             by_surfel.data_ptr(),
             by_entry.data_ptr(),
             scratch.data_ptr(),
@@ -108,7 +109,7 @@ class _Rasterize(torch.autograd.Function):
         )
         ctx.save_for_backward(planes, moments, by_surfel, by_entry, *inputs)
         ctx.set_materialize_grads(False)
-        ctx.shape, ctx.numbers = shape, numbers
+        ctx.shape, ctx.posed, ctx.lens = shape, posed, camera.lens
         ctx.pose, ctx.statistics = tensors[5], statistics
         none = planes[:0]
         parts = [planes[:channels], planes[padded], planes[channels : channels + 3 * normals]]
@@ -132,7 +133,7 @@ class _Rasterize(torch.autograd.Function):
         cuda.kernels("raster_backward", planes)(
             ctx.shape,
             [t.data_ptr() for t in inputs],
-            ctx.numbers,
+            *ctx.posed,
             by_surfel.data_ptr(),
             by_entry.data_ptr(),
             planes.data_ptr(),

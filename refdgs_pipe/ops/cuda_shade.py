@@ -54,13 +54,14 @@ class ShadingInputs(torch.autograd.Function):
             [*alpha.shape],
             addresses.lens_and_rotation(camera),
             count,
+            addresses.lens(camera),
             pixels.data_ptr(),
             channels,
             images,
         )
         cuda.kernels("shading_inputs", alpha)(*head, [addresses.table(t) for t in out])
         ctx.save_for_backward(features, alpha, normal, near, pixels)
-        ctx.head = head
+        ctx.head, ctx.lens = head, camera.lens  # head has addresses: what they are of must stay
         return tuple(out)
 
     @staticmethod
@@ -129,6 +130,7 @@ class NormalAgreement(torch.autograd.Function):
         cuda.kernels("normal_agreement", alpha)(
             [height, width],
             addresses.lens_and_rotation(camera),
+            addresses.lens(camera),
             [addresses.image(t) for t in (normal, depth, alpha)],
             scale,
             edge,

@@ -1,6 +1,5 @@
 """How far a rendered image is from a photo: L1 and SSIM and their gradient in one pass."""
 
-import math
 from typing import Any
 
 import _refdgs_native as native
@@ -58,20 +57,15 @@ def image_loss_and_error(
     if not 0 <= ssim_share <= 1:
         raise ShapeError(f"ssim_share is {ssim_share}: give 0 to 1")
     if cuda.on_gpu(image):
-        on_gpu: Tensor = cuda_fused.ImageLoss.apply(  # type: ignore[no-untyped-call]
+        on_gpu: tuple[Tensor, Tensor] = cuda_fused.ImageLoss.apply(  # type: ignore[no-untyped-call]
             image, target, weight, ssim_share
         )
-        return on_gpu, _squared_error(image.detach(), target, weight)
+        return on_gpu
     count = threads or torch.get_num_threads()
     pair: tuple[Tensor, Tensor] = _ImageLoss.apply(  # type: ignore[no-untyped-call]
         image, target, weight, ssim_share, count
     )
     return pair
-
-
-def _squared_error(image: Tensor, target: Tensor, weight: Tensor | None) -> Tensor:
-    each = (image - target).square().mean(-1)
-    return each.mean() if weight is None else (each * weight).sum() / weight.sum().clamp(min=1e-12)
 
 
 def ssim_map(image: Tensor, target: Tensor, *, threads: int | None = None) -> Tensor:
@@ -115,8 +109,10 @@ def _run(
     """Weighted sums of |image - target|, SSIM and squares; fills `gradient`, `ssim`, (C, H, W)."""
     if cuda.on_gpu(image):
         each = image.new_ones(1)
-        l1, similarity = cuda_fused.compare(image, target, weight, each, scales, ssim=ssim).tolist()
-        return l1, similarity, math.nan  # nobody asks for squares here
+        found: list[float] = cuda_fused.compare(
+            image, target, weight, each, scales, ssim=ssim
+        ).tolist()
+        return found[0], found[1], found[2]
     run = native.image_loss_float if image.dtype == torch.float32 else native.image_loss_double
     sums: tuple[float, float, float] = run(
         list(image.shape),

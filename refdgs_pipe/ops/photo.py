@@ -6,8 +6,8 @@ import _refdgs_native as native
 import torch
 from torch import Tensor
 
-from refdgs_pipe.errors import ShapeError
-from refdgs_pipe.ops import addresses, cuda, reference_photo
+from refdgs_pipe.errors import DeviceError, ShapeError
+from refdgs_pipe.ops import addresses, cuda, cuda_photo
 from refdgs_pipe.ops.checks import check_alike
 
 
@@ -24,6 +24,7 @@ def composited(
 
     Raises:
         ShapeError: sizes or types disagree.
+        DeviceError: the tensors are on several devices.
     """
     check_alike(("backdrop", backdrop))
     if rgb.ndim != 3 or len(rgb) != 3 or rgb.dtype != torch.uint8 or tuple(backdrop.shape) != (3,):
@@ -32,9 +33,13 @@ def composited(
             "give (3, H, W) uint8 and (3,)"
         )
     if mask is not None:
-        _check_mask(mask, tuple(rgb.shape[1:]))
+        _check_mask(mask, rgb[0])
+    if backdrop.device != rgb.device:
+        raise DeviceError(
+            f"backdrop is on {backdrop.device}, rgb is on {rgb.device}: give all on one device"
+        )
     if cuda.on_gpu(rgb):
-        return reference_photo.composited(rgb, mask, backdrop)
+        return cuda_photo.composited(rgb, mask, backdrop)
     planes = backdrop.new_empty(rgb.shape)
     rgb, mask = rgb.contiguous(), None if mask is None else mask.contiguous()
     run = native.composited_float if planes.dtype == torch.float32 else native.composited_double
@@ -63,13 +68,17 @@ def mask_entropy(
 
     Raises:
         ShapeError: sizes or types disagree, or there is no pixel.
+        DeviceError: the tensors are on several devices.
     """
     check_alike(("alpha", alpha))
     if alpha.ndim != 2 or not alpha.numel():
         raise ShapeError(f"alpha is {tuple(alpha.shape)}: give (H, W), at least one pixel")
-    _check_mask(mask, tuple(alpha.shape))
+    _check_mask(mask, alpha)
     if cuda.on_gpu(alpha):
-        return reference_photo.mask_entropy(alpha, mask, weight=weight)
+        on_gpu: Tensor = cuda_photo.MaskEntropy.apply(  # type: ignore[no-untyped-call]
+            alpha, mask.contiguous(), weight
+        )
+        return on_gpu
     count = threads or torch.get_num_threads()
     loss: Tensor = _MaskEntropy.apply(  # type: ignore[no-untyped-call]
         alpha, mask.contiguous(), weight, count
@@ -77,7 +86,12 @@ def mask_entropy(
     return loss
 
 
-def _check_mask(mask: Tensor, size: tuple[int, ...]) -> None:
+def _check_mask(mask: Tensor, image: Tensor) -> None:
+    size = tuple(image.shape)
+    if mask.device != image.device:
+        raise DeviceError(
+            f"mask is on {mask.device}, its image on {image.device}: give all on one device"
+        )
     if tuple(mask.shape) != size or mask.dtype != torch.uint8:
         raise ShapeError(
             f"mask is {tuple(mask.shape)} of {mask.dtype}: give {size[0]} rows of {size[1]} uint8"

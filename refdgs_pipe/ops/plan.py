@@ -10,6 +10,7 @@ from refdgs_pipe.errors import ShapeError
 
 LISTS = 8  # that one step may ask room for
 MARGIN = 1.5  # room for this many times what was needed at most
+SLACK = 1.1  # room that is kept where it is must be for this many times what was needed
 LADDER = 1.2  # room grows by such steps, so that memory of the same size is asked for again
 LEAST = 4096
 FORGETS = 0.8  # of what was needed at most, kept when the surfels change
@@ -38,6 +39,7 @@ class Plan:
         self.needed = torch.zeros(LISTS, dtype=torch.int64, device=device)
         self._most: dict[Kind, float] = {}  # needed for each item
         self._since: dict[Kind, float] = {}  # the same since the last `settle`
+        self._limits: dict[Kind, int] = {}  # lists are never longer
         self._asked: Asked = []
 
     def begin(self) -> None:
@@ -66,7 +68,15 @@ class Plan:
             room = int(room * LADDER) + 1
         room = min(room, most)
         self._asked.append((key, items, room))
+        self._limits[key] = most
         return room
+
+    def holds(self, asked: Asked) -> bool:
+        """Whether the lists of an earlier step have room, and some to spare, for another one."""
+        return all(
+            room >= min(SLACK * self._most[key] * items, self._limits[key])
+            for key, items, room in asked
+        )
 
     def last(self) -> Tensor:
         """(1,) what the list last asked for needed, once kernels have written it."""

@@ -1,7 +1,7 @@
 """Drawing surfels: the public function, its checks and its choice of backend."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -43,6 +43,9 @@ class Pinhole:
         cam_from_world: (3 or 4, 4) tensor; may require a gradient (pose refinement).
         fx, fy, cx, cy: pixels; pixel centres are at +0.5.
         near: depth before which nothing is drawn, world units.
+        lens: (19,) on a GPU, in the surfels' type: the pose's rows, fx, fy, cx, cy and the camera's
+            centre. Where it is given, kernels read these instead, so that recorded work can be
+            given another camera of the same size and `near`.
     """
 
     cam_from_world: Tensor
@@ -53,6 +56,7 @@ class Pinhole:
     width: int
     height: int
     near: float = 1e-3
+    lens: Tensor | None = None
 
     @classmethod
     def of(
@@ -64,6 +68,20 @@ class Pinhole:
         pose = torch.from_numpy(np.ascontiguousarray(camera.cam_from_world)).to(dtype)
         fx, fy, cx, cy = (float(v) for v in (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
         return cls(pose, fx, fy, cx, cy, camera.width, camera.height, near)
+
+    @property
+    def center(self) -> Tensor:
+        """(3,) where it is in the world: on the GPU with a `lens`, else where the pose is."""
+        if self.lens is not None:
+            return self.lens[-3:]
+        pose = self.cam_from_world
+        return -pose[:3, :3].T @ pose[:3, 3]
+
+    def numbers(self) -> list[float]:
+        """What `lens` holds."""
+        pose: list[float] = self.cam_from_world[:3].detach().flatten().tolist()
+        center: list[float] = replace(self, lens=None).center.tolist()
+        return [*pose, self.fx, self.fy, self.cx, self.cy, *center]
 
 
 @dataclass

@@ -13,7 +13,8 @@ from refdgs_pipe.training.trainer import Progress, Trainer
 
 # Bytes, counted from the tensors that live at once in a step: torch and its kernels; maps, shading
 # and their gradients for a pixel; parameters, Adam, records and 8 entries of 150 for a surfel; a
-# number of the Sph-Mip map with Adam, mips and its gradient in whole numbers.
+# number of the Sph-Mip map with Adam, mips and its gradient in whole numbers. Recorded steps have
+# pixels' and surfels' memory of their own.
 FIXED, PER_PIXEL, PER_SURFEL, PER_MAP_NUMBER = 700_000_000, 800, 2000, 32
 SPARE = 0.9  # share of the free memory that is planned with; the rest is lost between blocks
 LEAST_SIDE, LEAST_SURFELS = 256, 5000
@@ -48,9 +49,10 @@ def need_of(params: TrainParams, model: SparseModel) -> Need:
     if params.reflection and params.local == "dual":
         surfels += params.max_local_surfels
     numbers = params.environment_height**2 * 2 * 4 if params.reflection else 0
+    times = 1 if params.cuda_graph == "off" else 2
     return Need(
-        int(kept + max(sizes, default=0.0) * PER_PIXEL),
-        surfels * PER_SURFEL,
+        int(kept + times * max(sizes, default=0.0) * PER_PIXEL),
+        times * surfels * PER_SURFEL,
         FIXED + numbers * PER_MAP_NUMBER,
     )
 
@@ -58,13 +60,16 @@ def need_of(params: TrainParams, model: SparseModel) -> Need:
 def fitted(params: TrainParams, model: SparseModel, budget: int) -> TrainParams:
     """The settings, made smaller until they need no more than `budget` bytes.
 
-    Whichever of pixels and surfels takes more is lowered first.
+    Steps are no longer recorded, unless they must be; then whichever of pixels and surfels takes
+    more is lowered first.
 
     Raises:
         DeviceError: even the smallest settings need more.
     """
     while (need := need_of(params, model)).total > budget:
-        smaller = _smaller(params, pixels=need.pixels >= need.surfels)
+        smaller = _unrecorded(params)
+        if smaller == params:
+            smaller = _smaller(params, pixels=need.pixels >= need.surfels)
         if smaller == params:
             raise DeviceError(
                 f"training needs at least {need.total / 1e9:.1f} GB of GPU memory and may use "
@@ -107,6 +112,7 @@ def train_within(
             return trainer, trainer.run(progress)
         except torch.cuda.OutOfMemoryError:
             smaller = _smaller(_smaller(params, pixels=turn % 2 == 0), pixels=turn % 2 == 0)
+            smaller = _unrecorded(smaller)
         # after the except clause: until its end the failed step's tensors are alive
         torch.cuda.empty_cache()
         if smaller == params:
@@ -126,7 +132,15 @@ def changes(before: TrainParams, after: TrainParams) -> str:
         parts.append(f"training at {after.max_side} instead of {before.max_side} pixels")
     if after.max_surfels != before.max_surfels:
         parts.append(f"at most {after.max_surfels} instead of {before.max_surfels} surfels")
+    if after.cuda_graph != before.cuda_graph:
+        parts.append("steps are not recorded")
     return ", ".join(parts)
+
+
+def _unrecorded(params: TrainParams) -> TrainParams:
+    return (
+        params.model_copy(update={"cuda_graph": "off"}) if params.cuda_graph == "auto" else params
+    )
 
 
 def _smaller(params: TrainParams, *, pixels: bool) -> TrainParams:

@@ -18,6 +18,7 @@ from refdgs_pipe.training.shading import Picture, Scene, sh_color
 from refdgs_pipe.training.surfels import (
     DensityRules,
     TrainableSet,
+    all_optimizers,
     array,
     densify,
     diffuse_of,
@@ -173,13 +174,14 @@ class TrainableField:
 
     def scene(self, camera: Pinhole, fraction: float) -> Scene:
         """What is drawn now: activated, and the background's colour towards this camera."""
-        p, raw = self.params, self.geometry.raw
-        with_local = self.local is not None and fraction >= p.local_from
+        raw = self.geometry.raw
+        with_local, with_shader = self.parts(fraction)
         background_rgb = None
         if self.background is not None:
-            pose = camera.cam_from_world
-            center = -pose[:3, :3].T @ pose[:3, 3]
-            towards = self.background.raw["means"].detach() - sent(center, self.device)
+            center = camera.center
+            if camera.lens is None:
+                center = sent(center, self.device)
+            towards = self.background.raw["means"].detach() - center
             towards = towards / towards.norm(dim=-1, keepdim=True)
             background_rgb = sh_color(self.background.raw["sh"], towards)
         return Scene(
@@ -193,7 +195,7 @@ class TrainableField:
             else None,
             background=None if self.background is None else self.background.surfels(),
             background_rgb=background_rgb,
-            shader=self.shader if fraction >= self.reflect_from else None,
+            shader=self.shader if with_shader else None,
         )
 
     def observe(self, picture: Picture, width: int, misfit: Tensor | None = None) -> None:
@@ -213,9 +215,26 @@ class TrainableField:
             local = picture.local_statistics
             self.local.observe(local.gradients[:, 0] * (width / 2), (local.radii > 0) & fits)
 
-    def step(self, misfit: Tensor | None = None) -> None:
-        """One update of everything; of nothing where `misfit` is 1."""
-        step_all(self._sets(), self.shader_optimizer, misfit)
+    def step(self, misfit: Tensor | None = None, rates: Tensor | None = None) -> None:
+        """One update of everything; of nothing where `misfit` is 1.
+
+        Args:
+            rates: on a GPU, instead of those of `set_rates`; see `adam_step`.
+        """
+        step_all(self._sets(), self.shader_optimizer, misfit, rates)
+
+    def optimizers(self) -> list[torch.optim.Adam]:
+        """Those that `step` steps, in its order."""
+        return all_optimizers(self._sets(), self.shader_optimizer)
+
+    def statistics(self) -> list[Tensor]:
+        """What `observe` adds to."""
+        return [tensor for group in self._sets() for tensor in (group.gradient_sum, group.seen)]
+
+    def parts(self, fraction: float) -> tuple[bool, bool]:
+        """Whether local surfels and the shader take part at this fraction of the schedule."""
+        with_local = self.local is not None and fraction >= self.params.local_from
+        return with_local, fraction >= self.reflect_from
 
     def adapts(self, iteration: int) -> bool:
         """Whether it is time to densify and prune, or to reset opacities."""

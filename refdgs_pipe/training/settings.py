@@ -51,6 +51,11 @@ class TrainParams(Params):
         description="the shader's network multiplies bfloat16 numbers where the CPU can: faster, "
         "equal in quality, but other CPUs give slightly other results",
     )
+    cuda_graph: Literal["auto", "on", "off"] = Field(
+        "auto",
+        description="a GPU repeats recorded steps without the CPU: where they prove equal, always "
+        "(or an error), or never",
+    )
     diffuse_bias: float = Field(
         2.0, ge=0, le=10, description="initial diffuse is exp(-bias)/5: 0 bright, 2 dark"
     )

@@ -216,20 +216,28 @@ def densify(group: TrainableSet, rules: DensityRules, keep: Tensor, rng: torch.G
         group.rebuild(source, changed, fresh)
 
 
+def all_optimizers(
+    groups: Iterable[TrainableSet | None], modules: Iterable[torch.optim.Adam]
+) -> list[torch.optim.Adam]:
+    """Those of the sets that are not empty, and those of modules."""
+    return [*(g.optimizer for g in groups if g is not None and len(g)), *modules]
+
+
 def step_all(
     groups: Iterable[TrainableSet | None],
     modules: Iterable[torch.optim.Adam],
     misfit: Tensor | None = None,
+    rates: Tensor | None = None,
 ) -> None:
     """One optimiser step of everything, gradients cleared.
 
     Args:
         misfit: () on a GPU; where it is 1 nothing changes.
+        rates: on a GPU, see `adam_step`.
     """
-    optimizers = [g.optimizer for g in groups if g is not None and len(g)]
-    optimizers += modules
+    optimizers = all_optimizers(groups, modules)
     if optimizers and cuda.on_gpu(optimizers[0].param_groups[0]["params"][0]):
-        adam_step(optimizers, misfit)
+        adam_step(optimizers, misfit, rates)
     else:
         for optimizer in optimizers:
             optimizer.step()

@@ -15,26 +15,18 @@ from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.surfel_field import SurfelField
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.errors import Cancelled, TrainingError
-from refdgs_pipe.ops import (
-    Later,
-    Plan,
-    composited,
-    image_loss_and_error,
-    mask_entropy,
-    normal_agreement,
-)
-from refdgs_pipe.ops.cuda import sent
+from refdgs_pipe.ops import Later, Plan
+from refdgs_pipe.ops.cuda_graph import Recorder
 from refdgs_pipe.ops.native import keep_freed_memory
 from refdgs_pipe.ops.plan import Asked
-from refdgs_pipe.ops.rasterize import Extra
-from refdgs_pipe.training import losses
 from refdgs_pipe.training.checkpoint import read_checkpoint, write_checkpoint
 from refdgs_pipe.training.coverage import coverage
 from refdgs_pipe.training.field import TrainableField
 from refdgs_pipe.training.photos import TrainingPhoto, load_training_photos, shrunk
 from refdgs_pipe.training.plateau import Plateau, hold_out
+from refdgs_pipe.training.recorded import RecordedSteps
 from refdgs_pipe.training.settings import TrainParams
-from refdgs_pipe.training.shading import Picture, draw
+from refdgs_pipe.training.step import NEAR, Taken
 from refdgs_pipe.training.work import share_behind
 
 
@@ -45,14 +37,13 @@ class Moment:
     iteration: int
     fraction: float  # of the schedule
     photo: TrainingPhoto
-    backdrop: Tensor
+    backdrop: Tensor  # (3,) sRGB, on the CPU
 
 
 Progress = Callable[[int, int, str, float], None]  # step, steps, figures, share of the work
 CHECKPOINT_SECONDS = 30.0
 REPORT_STEPS = 10
 COVERAGE_VIEWS = 6
-NEAR = 0.02  # of the distance of the nearest camera to the ball's centre
 
 
 class Trainer:
@@ -61,6 +52,7 @@ class Trainer:
     Args:
         device: where the steps are computed, "cpu" or "cuda"; results are on the CPU.
         photos: those of the views, if they are in memory already.
+        warn: told what does not go as it should and does not end the run.
     """
 
     def __init__(
@@ -72,6 +64,7 @@ class Trainer:
         *,
         device: str = "cpu",
         photos: list[TrainingPhoto] | None = None,
+        warn: Callable[[str], None] | None = None,
     ) -> None:
         keep_freed_memory()
         self.params, self.model, self.scratch, self.device = params, model, scratch, device
@@ -97,6 +90,9 @@ class Trainer:
         self.loss, self.psnr = math.nan, math.nan
         self.curve: list[tuple[int, float, float]] = []
         self.plan = None if device == "cpu" else Plan(device)
+        recorder = Recorder() if device == "cuda" and params.cuda_graph != "off" else None
+        insists = params.cuda_graph == "on"
+        self.steps = RecordedSteps(self.field, recorder, insists=insists, warn=warn)
         self._later: Later[tuple[Moment, Asked]] = Later(device)  # loss, squared errors, needs
 
     def run(self, progress: Progress) -> SurfelField:
@@ -170,7 +166,7 @@ class Trainer:
         fraction = self.position / self.params.iterations
         photo = self._photo(fraction)
         backdrop = torch.rand(3, generator=self.rng) if self.masked else torch.zeros(3)
-        self._update(Moment(self.iteration, fraction, photo, sent(backdrop, self.device)))
+        self._update(Moment(self.iteration, fraction, photo, backdrop))
         self.iteration += 1
         adapts = self.field.adapts(self.position)
         self._read(all_of_them=adapts)
@@ -180,25 +176,12 @@ class Trainer:
                 self.plan.settle()
 
     def _update(self, moment: Moment) -> None:
-        p, photo, plan = self.params, moment.photo, self.plan
         self.field.set_rates(moment.fraction)
-        if plan is not None:
-            plan.begin()
-        extra: Extra = "distortion" if p.distortion_weight > 0 else "depth"
-        scene = self.field.scene(photo.pinhole, moment.fraction)
-        picture = draw(scene, photo.pinhole, moment.backdrop, extra=extra, plan=plan)
-        target = composited(photo.rgb, photo.mask, moment.backdrop)
-        loss, error = self._loss(picture, photo, target)
-        loss.backward()  # type: ignore[no-untyped-call]
-        misfit = None if plan is None else plan.misfit
-        self.field.observe(picture, photo.pinhole.width, misfit)
-        self.field.step(misfit)
-        held = self._held_error(photo, picture.image, target)
-        figures = torch.stack([loss.detach(), error, held])
-        if plan is None:
-            self._later.send((moment, []), figures)
-        else:
-            self._later.send((moment, plan.asked()), figures, plan.needed)
+        taken, asked = self.steps.take(moment.photo, moment.backdrop, moment.fraction, self.plan)
+        held = self._held_error(moment.photo, taken)
+        figures = torch.stack([taken.loss, taken.error, held])
+        needed = [] if self.plan is None else [self.plan.needed]
+        self._later.send((moment, asked), figures, *needed)
 
     def _photo(self, fraction: float) -> TrainingPhoto:
         """A random photo at the scale of this moment."""
@@ -209,43 +192,13 @@ class Trainer:
         pick = int(torch.randint(len(self.full), (1,), generator=self.rng))
         return self.scales[scale][pick]
 
-    def _loss(
-        self, picture: Picture, photo: TrainingPhoto, target: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        """What is minimised, and the mean squared error of the picture."""
-        p, maps = self.params, picture.maps
-        valid = None if photo.valid is None else photo.valid.float()
-        loss, error = image_loss_and_error(
-            picture.image, target, weight=valid, ssim_share=p.ssim_share
-        )
-        # weights go in, so that backward has nothing to scale
-        if photo.mask is not None and p.mask_weight > 0:
-            loss = loss + mask_entropy(maps.alpha, photo.mask, weight=p.mask_weight)
-        if p.normal_weight > 0 and maps.normal is not None and maps.depth is not None:
-            loss = loss + normal_agreement(
-                maps.normal,
-                maps.depth,
-                maps.alpha,
-                photo.pinhole,
-                edge=p.normal_edge,
-                weight=p.normal_weight,
-            )
-        if p.smooth_weight > 0:
-            loss = loss + p.smooth_weight * losses.normal_smoothness(
-                picture.normal, picture.diffuse, picture.depth, maps.alpha
-            )
-        if maps.distortion is not None:
-            relative = maps.distortion.mean() / NEAR**2  # it is measured in near / depth
-            loss = loss + p.distortion_weight * relative
-        return loss, error
-
     @staticmethod
-    def _held_error(photo: TrainingPhoto, image: Tensor, target: Tensor) -> Tensor:
+    def _held_error(photo: TrainingPhoto, taken: Taken) -> Tensor:
         """The mean squared error of held-out pixels, NaN where there are none."""
         if photo.held is None:
-            return target.new_full((), math.nan)
+            return taken.loss.new_full((), math.nan)
         rows, columns = photo.held
-        return (image.detach()[rows, columns] - target[rows, columns]).square().mean()
+        return (taken.image[rows, columns] - taken.target[rows, columns]).square().mean()
 
     def _read(self, *, all_of_them: bool = False) -> None:
         """Take in the figures of steps that are through, some steps later on a GPU.

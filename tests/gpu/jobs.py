@@ -2,14 +2,14 @@
 
 import itertools
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import torch
 from cases import Case, camera
 from torch import Tensor
 
 from refdgs_pipe import ops
-from refdgs_pipe.ops import Pinhole, Plan, Surfels, cuda_fused, rasterize
+from refdgs_pipe.ops import Pinhole, Plan, Surfels, cuda, cuda_fused, rasterize
 from refdgs_pipe.training.surfels import step_all
 
 Named = dict[str, Tensor]
@@ -37,8 +37,12 @@ def pulled(inputs: Named, run: Callable[[Named], Named]) -> Named:
     return {k: v.detach() for k, v in {**out, **grads}.items()}
 
 
-def drawing(case: Case, *, planned: bool = False) -> Run:
-    """The rasteriser on a case; planned: a second time, with room by what the first one needed."""
+def drawing(case: Case, *, planned: bool = False, lens: bool = False) -> Run:
+    """The rasteriser on a case.
+
+    planned: a second time, with room by what the first one needed. lens: the GPU is told another
+    camera, and reads the true one from its memory.
+    """
     made, features = case.make()
 
     def run(dtype: torch.dtype, device: str) -> Named:
@@ -50,6 +54,10 @@ def drawing(case: Case, *, planned: bool = False) -> Run:
         def draw(leaves: Named) -> Named:
             s = Surfels(*(leaves[f.name] for f in fields(Surfels)))
             posed = Pinhole(leaves["pose"], *list(vars(view).values())[1:])
+            if lens and cuda.on_gpu(leaves["means"]):
+                numbers = torch.tensor(posed.numbers()).to(leaves["means"])
+                other = posed.cam_from_world + 0.2
+                posed = replace(posed, cam_from_world=other, fx=50.0, cy=7.0, lens=numbers)
             plan = Plan(device) if planned else None
             for _ in range(1 + planned):
                 if plan is not None:
@@ -106,7 +114,9 @@ def fused(*, small: bool) -> dict[str, Run]:
         def run(dtype: torch.dtype, device: str) -> Named:
             y, w = target.to(device, dtype), weight.to(device, dtype)
             inputs = {"image": image.to(device, dtype)}
-            return pulled(inputs, lambda p: {"loss": ops.image_loss(p["image"], y, weight=w)})
+            error = ops.image_loss_and_error(inputs["image"], y, weight=w)[1]
+            made = pulled(inputs, lambda p: {"loss": ops.image_loss(p["image"], y, weight=w)})
+            return {**made, "squared error": error}
 
         return run
 
@@ -127,6 +137,7 @@ def fused(*, small: bool) -> dict[str, Run]:
         "network by multiply-adds": _without_tensor_cores(_plain(net, mlp)),
         "Sph-Mip": _plain(encoding, sph_mip),
         "Adam": adam,
+        "photo": _photo((29, 37) if small else (217, 333), g),
         "planned pixels": _planned(random),
         "shading": _shading((29, 37) if small else (217, 333), random),
     }
@@ -135,6 +146,24 @@ def fused(*, small: bool) -> dict[str, Run]:
 
 def _plain(inputs: Named, run: Callable[[Named], Named]) -> Run:
     return lambda dtype, device: pulled({k: v.to(device, dtype) for k, v in inputs.items()}, run)
+
+
+def _photo(size: tuple[int, int], g: torch.Generator) -> Run:
+    """A target, and a mask's cross-entropy, from bytes."""
+    rgb = torch.randint(0, 256, (3, *size), generator=g).to(torch.uint8)
+    mask = torch.randint(-200, 456, size, generator=g).clamp(0, 255).to(torch.uint8)
+    alpha, backdrop = 1.2 * torch.rand(size, generator=g) - 0.1, torch.rand(3, generator=g)
+
+    def run(dtype: torch.dtype, device: str) -> Named:
+        there, covers = rgb.to(device), mask.to(device)
+        target = ops.composited(there, covers, backdrop.to(device, dtype))
+        made = pulled(
+            {"alpha": alpha.to(device, dtype)},
+            lambda p: {"entropy": ops.mask_entropy(p["alpha"], covers, weight=0.3)},
+        )
+        return {"target": target, **made}
+
+    return run
 
 
 def _planned(random: Callable[..., Tensor]) -> Run:

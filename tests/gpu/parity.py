@@ -110,6 +110,7 @@ def main() -> int:
         device, on = "cpu", emulated
     jobs = {case.name: drawing(case) for case in cases(small=options.small)}
     jobs["random, planned"] = drawing(cases(small=options.small)[0], planned=True)
+    jobs["random, through a lens"] = drawing(cases(small=options.small)[0], lens=True)
     jobs |= fused(small=options.small)
     begin, rows, spent = time.monotonic(), [], 0.0
     if options.start:

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-STEPS = ("build", "doctor", "parity", "memcheck", "racecheck", "timing", "training")
+STEPS = ("build", "doctor", "parity", "memcheck", "racecheck", "timing", "graph", "training")
 OPTIONAL = ("memcheck", "racecheck")  # a machine may not let a checker near its GPU
 
 IMPOSSIBLE, OUT_OF_TIME = "not possible on this machine", "out of time"
@@ -27,7 +27,8 @@ def read(folder: Path) -> dict[str, Any]:
         log = folder / f"{step}.log"
         text = log.read_text(errors="replace") if log.exists() else ""
         found["status"] = "ok" if code == "0" else OUT_OF_TIME if code == "124" else "failed"
-        if step in OPTIONAL and code != "124" and "SUMMARY" not in text:
+        refused = "SUMMARY" not in text or "Device not supported" in text
+        if step in OPTIONAL and code != "124" and refused:
             found["status"] = IMPOSSIBLE
         found["last words"] = text[-1500:]
         record = folder / f"{step}.json"

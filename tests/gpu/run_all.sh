@@ -127,10 +127,12 @@ export PYTHONPATH="$built:$root${PYTHONPATH:+:$PYTHONPATH}"
 step doctor 120 bash -c doctor
 step parity 150 "$python" "$root/tests/gpu/parity.py" --device "$device" "${small[@]}" --out "$out/parity.json"
 step timing 90 "$python" "$root/tests/gpu/timing.py" --device "$device" "${small[@]}" --out "$out/timing.json"
+graph=auto # where recorded steps fail, which can take the GPU's context along, the training goes without
+step graph 75 "$python" "$root/tests/gpu/graph.py" "${tiny[@]}" --out "$out/graph.json" || graph=off
 # the checkers come last and have a minute each; the training has what is left of the rest
 room=$(($(left) - 130))
 step training $((room > 30 ? room : 30)) "$python" "$root/tests/gpu/training.py" ${scene:+--scene "$scene"} \
-    --seconds $((room > 90 ? room - 80 : 20)) "${tiny[@]}" --out "$out/training.json"
+    --seconds $((room > 90 ? room - 80 : 20)) --graph $graph "${tiny[@]}" --out "$out/training.json"
 if [ "$device" = cuda ] && command -v compute-sanitizer >/dev/null; then
     step memcheck 65 bash -c 'checker memcheck'
     step racecheck 60 bash -c 'checker racecheck'

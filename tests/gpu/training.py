@@ -1,7 +1,7 @@
 """A whole training on one device, timed and scored on held-out views.
 
 python tests/gpu/training.py --out FILE [--scene DIR] [--device cuda|cpu] [--seconds S] [--side PX]
-                             [--iterations N] [--surfels N]
+                             [--iterations N] [--surfels N] [--graph auto|on|off]
 
 DIR is a NeRF-synthetic folder (transforms_train.json, transforms_test.json, RGBA images); without
 one a procedural ball is drawn. None of the libraries for other stages is loaded.
@@ -24,12 +24,14 @@ import scene as scenery  # noqa: E402
 
 from refdgs_pipe.metrics import psnr  # noqa: E402
 from refdgs_pipe.ops import cuda_fused  # noqa: E402
+from refdgs_pipe.training.recorded import RecordedSteps  # noqa: E402
 from refdgs_pipe.training.render import render_image  # noqa: E402
 from refdgs_pipe.training.settings import TrainParams  # noqa: E402
 from refdgs_pipe.training.trainer import NEAR, Trainer  # noqa: E402
 
 TEST_VIEWS = 20
 REPEATED_STEPS = 60  # of two short runs that must agree bit for bit
+warnings: list[str] = []
 
 
 def synchronize(device: str) -> None:
@@ -44,7 +46,14 @@ def trained(options: argparse.Namespace, train: list[scenery.View], params: Trai
     near = NEAR * min(float(np.linalg.norm(c.center)) for c in model.cameras)
     scratch = Path(tempfile.mkdtemp())
     photos = scenery.photos_of(train, near)
-    return Trainer(views, model, params, scratch, device=options.device, photos=photos)
+    return Trainer(
+        views, model, params, scratch, device=options.device, photos=photos, warn=warnings.append
+    )
+
+
+def usual(trainer: Trainer) -> None:
+    """No more recorded steps."""
+    trainer.steps = RecordedSteps(trainer.field, None)
 
 
 def step_times(trainer: Trainer, device: str, steps: int) -> float:
@@ -81,8 +90,11 @@ def main() -> int:
     parser.add_argument("--side", type=int, default=800)
     parser.add_argument("--iterations", type=int, default=8000)
     parser.add_argument("--surfels", type=int, default=20_000)
+    parser.add_argument("--graph", default="auto", choices=["auto", "on", "off"])
     options = parser.parse_args()
-    params = TrainParams(iterations=options.iterations, surfels=options.surfels)
+    params = TrainParams(
+        iterations=options.iterations, surfels=options.surfels, cuda_graph=options.graph
+    )
     if options.device == "cpu":  # where OpenCV shrinks photos
         params = params.model_copy(update={"coarse_until": 0.0})
     begin = time.monotonic()
@@ -104,6 +116,7 @@ def main() -> int:
             print(f"{trainer.iteration} steps, {seconds[trainer.iteration]} s", flush=True)
     synchronize(options.device)
     train_s, steps = time.monotonic() - begin, trainer.iteration
+    replayed = trainer.steps.replayed
     trainer._read(all_of_them=True)
     field = trainer.field.freeze()
     figures, times = [], []
@@ -114,6 +127,8 @@ def main() -> int:
         alpha = pixels[..., 3:] / 255.0
         figures.append(psnr(image, pixels[..., :3] / 255.0 * alpha + (1 - alpha)))
     steps_at_end = min(50, options.iterations)
+    recorded = step_times(trainer, options.device, steps_at_end)
+    usual(trainer)
     planned = step_times(trainer, options.device, steps_at_end)
     cuda_fused.TENSOR_CORES = False
     by_fma = step_times(trainer, options.device, steps_at_end)
@@ -132,7 +147,10 @@ def main() -> int:
         "seconds": train_s,
         "seconds at step": seconds,
         "ms a step": 1e3 * train_s / max(1, steps),
-        "ms a step at the end": planned,
+        "steps replayed": replayed,
+        "warnings": warnings,
+        "ms a step at the end": recorded,
+        "ms a step at the end, not recorded": planned,
         "ms a step at the end, without tensor cores": by_fma,
         "ms a step at the end, waiting for every list": waiting,
         "test PSNR": float(np.mean(figures)),

@@ -1,19 +1,21 @@
 """The CUDA kernels of the fused operations on the emulated grid, against the CPU's in float64."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 import torch
 from emulation import ORDERS, emulated
 from ops import test_image_loss as losses
 from ops import test_mlp as networks
+from ops import test_photo as photos
 from ops import test_shade as shades
 from ops import test_sph_mip as mips
 from torch import Tensor
 
 from refdgs_pipe import ops
 from refdgs_pipe.ops import cuda_fused
-from refdgs_pipe.ops.cuda_adam import adam_step
+from refdgs_pipe.ops.cuda_adam import adam_step, rates_of
 
 
 def alike(
@@ -31,9 +33,12 @@ def alike(
 def loss_and_gradient(size: tuple[int, int], weighted: bool) -> list[Tensor]:
     image, target, weight = losses.pair(*size)
     leaf = image.clone().requires_grad_()
-    loss = ops.image_loss(leaf, target, weight=weight if weighted else None, ssim_share=0.3)
+    loss, error = ops.image_loss_and_error(
+        leaf, target, weight=weight if weighted else None, ssim_share=0.3
+    )
+    assert not error.requires_grad
     (2.5 * loss).backward()
-    return [loss.detach(), leaf.grad, ops.ssim_map(image, target)]
+    return [loss.detach(), error, leaf.grad, ops.ssim_map(image, target)]
 
 
 @pytest.mark.parametrize("size", [(1, 1), (3, 50), (33, 5), (37, 29)])
@@ -51,10 +56,30 @@ def test_image_loss_reads_any_strides_and_nothing_counts_for_nothing() -> None:
         leaf = planes.clone().requires_grad_()
         loss = ops.image_loss(leaf[:17, 2:], target[:17, 2:])
         loss.backward()
-        weightless = ops.image_loss(image, target, weight=none)
-        return [loss.detach(), leaf.grad, weightless, torch.tensor(ops.ssim(image, target))]
+        weightless = ops.image_loss_and_error(image, target, weight=none)
+        return [loss.detach(), leaf.grad, *weightless, torch.tensor(ops.ssim(image, target))]
 
     alike(run)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (photos.H, photos.W), (40, 130)])
+def test_photos(size: tuple[int, int]) -> None:
+    rgb, mask, backdrop = photos.photo(size)
+    planes = photos.alphas(size).detach()
+    spread = torch.stack([planes] * 2, -1)[..., 0]  # not side by side
+
+    def run() -> list[Tensor]:
+        leaf = spread.requires_grad_()
+        loss = ops.mask_entropy(leaf, mask, weight=0.3)
+        (2 * loss).backward()
+        slope, leaf.grad = leaf.grad, None
+        masked, whole = (ops.composited(rgb, m, backdrop) for m in (mask, None))
+        return [loss.detach(), slope, masked, whole]
+
+    alike(run)
+    spread.detach()[0, 0] = torch.nan
+    with emulated():
+        assert bool(ops.mask_entropy(spread.detach(), mask).isnan())
 
 
 @pytest.fixture(params=[True, False], ids=["tensor cores", "multiply-adds"])
@@ -85,6 +110,19 @@ def test_sph_mip_lookups(size: tuple[int, int], count: int) -> None:
     alike(lambda: mips.pulled(ops.sph_mip, base, *query))
     if min(size) >= 16:
         alike(lambda: mips.pulled(ops.sph_mip, base, *query, min_level=1.25))
+
+
+def test_room_to_spare_changes_no_bit_of_the_map_s_gradient() -> None:
+    base, (directions, roughness) = mips.random_map(16, 32), mips.query(300)
+    slopes = []
+    with emulated():
+        for room in (100, 300):
+            leaf = base.clone().requires_grad_()
+            limit = torch.tensor([100])
+            out = ops.sph_mip(leaf, directions[:room], roughness[:room], limit=limit)
+            out[:100].sin().sum().backward()
+            slopes.append(leaf.grad)
+    assert torch.equal(*slopes)
 
 
 def test_sph_mip_passes_on_what_is_not_finite() -> None:
@@ -171,6 +209,44 @@ def test_adam_is_torchs(dtype: torch.dtype) -> None:
         found = adam(dtype, ours)
     for a, b in zip(found, wanted, strict=True):
         torch.testing.assert_close(a, b, rtol=1e-6, atol=1e-7 if a.numel() else 0)
+
+
+def test_rates_on_the_device_are_rates() -> None:
+    def by_value(made: list[torch.optim.Adam], turn: int) -> None:
+        for optimizer in made:
+            for group in optimizer.param_groups:
+                group["lr"] *= 0.7
+        adam_step(made, None)
+
+    def elsewhere(made: list[torch.optim.Adam], turn: int) -> None:
+        by_turn = [rate * 0.7 ** (turn + 1) for rate in rates_of(made)]
+        adam_step(made, None, torch.tensor(by_turn, dtype=torch.float64))
+
+    with emulated():
+        wanted, found = adam(torch.float64, by_value), adam(torch.float64, elsewhere)
+    for a, b in zip(found, wanted, strict=True):
+        torch.testing.assert_close(a, b, rtol=1e-12, atol=1e-12)
+
+
+def test_a_lens_on_the_device_is_the_camera() -> None:
+    m, view = shades.maps(4), shades.camera()
+    turned = view.cam_from_world[[1, 2, 0, 3]]
+    other = replace(view, cam_from_world=turned, fx=9.0, fy=8.0, cx=5.0, cy=4.0)
+    held = replace(other, lens=torch.tensor(view.numbers(), dtype=torch.float64))
+
+    def run(camera: ops.Pinhole) -> list[Tensor]:
+        leaves = {k: v.detach().clone().requires_grad_() for k, v in m.items()}
+        image = shades.shade(ops, leaves, camera, True, False)
+        agreement = ops.normal_agreement(leaves["normal"], leaves["depth"], leaves["alpha"], camera)
+        (image.sum() + agreement).backward()
+        grads = [v.grad for v in leaves.values() if v.grad is not None]
+        return [image.detach(), agreement.detach(), *grads]
+
+    with emulated():
+        wanted, found, wrong = run(view), run(held), run(other)
+    assert not torch.equal(wrong[0], wanted[0]) and not torch.equal(wrong[1], wanted[1])
+    for a, b in zip(found, wanted, strict=True):
+        assert torch.equal(a, b)
 
 
 def test_three_products_of_tf32_are_as_exact_as_floats() -> None:

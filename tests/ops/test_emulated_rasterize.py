@@ -1,6 +1,7 @@
 """The CUDA rasteriser on the emulated grid against the CPU's."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 import torch
@@ -85,6 +86,24 @@ def test_more_surfels_than_a_block_and_boxes_of_many_tiles() -> None:
         return Surfels(surfels.means, surfels.quats, scales, surfels.opacities * 0.3), features
 
     both(make, camera(150, 120))
+
+
+def test_a_lens_on_the_device_is_the_camera() -> None:
+    """Also back to the surfels; the rest of what the camera says is then another's."""
+    surfels, features = scene(60)
+    view = camera(40, 30)
+    moved = view.cam_from_world + 0.3 * torch.rand(4, 4, dtype=torch.float64)
+    other = replace(view, cam_from_world=moved, fx=30.0, fy=31.0, cx=12.0, cy=9.0)
+    held = replace(other, lens=torch.tensor(view.numbers(), dtype=torch.float64))
+    found = []
+    for seen in (view, held, other):
+        s, f, _ = leaves(surfels, features, view)
+        with emulated():
+            maps = rasterize(s, f, seen, extra="distortion", normals=True)
+            sum(getattr(maps, name).sin().sum() for name in MAPS).backward()
+        found.append([maps.features.detach(), *(getattr(s, n).grad for n in vars(s)), f.grad])
+    for wanted, same, wrong in zip(*found, strict=True):
+        assert torch.equal(same, wanted) and not torch.equal(wrong, wanted)
 
 
 def test_nothing_to_draw() -> None:

@@ -32,6 +32,16 @@ def test_settings_that_fit_stay_as_they_are() -> None:
     assert budget.fitted(PARAMS, model_of(800, 800), 8 * 10**9) == PARAMS
 
 
+def test_steps_are_recorded_only_where_that_costs_nothing_else() -> None:
+    model = model_of(800, 800)
+    alone = budget.need_of(PARAMS.model_copy(update={"cuda_graph": "off"}), model).total
+    fitting = budget.fitted(PARAMS, model, alone)
+    assert fitting == PARAMS.model_copy(update={"cuda_graph": "off"})
+    assert budget.changes(PARAMS, fitting) == "steps are not recorded"
+    insists = PARAMS.model_copy(update={"cuda_graph": "on"})
+    assert budget.fitted(insists, model, alone).cuda_graph == "on"
+
+
 def test_what_takes_more_is_lowered_first() -> None:
     model = model_of(800, 800)
     many = PARAMS.model_copy(update={"max_surfels": 2_000_000})
@@ -79,7 +89,8 @@ def test_running_out_of_memory_lowers_settings_and_says_so() -> None:
     said: list[str] = []
     trainer, field = budget.train_within(Hungry, PARAMS, print, said.append)  # type: ignore
     assert field == "field" and trainer.params.max_side <= 600
-    assert said[0] == "the GPU's memory ran out: training at 578 instead of 800 pixels"
+    assert said[0].startswith("the GPU's memory ran out: training at 578 instead of 800 pixels, ")
+    assert trainer.params.cuda_graph == "off"
     assert "instead of 60000 surfels" in said[1]
 
 

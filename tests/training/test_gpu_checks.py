@@ -75,6 +75,14 @@ def test_a_training_needs_none_of_the_libraries_that_a_gpu_machine_lacks(tmp_pat
     assert record["same bits in two runs"] and record["test PSNR"] > 5
 
 
+def test_the_comparison_with_recorded_steps_runs_dry(tmp_path: Path) -> None:
+    out = tmp_path / "graph.json"
+    few = ["--iterations", "3", "--surfels", "200", "--side", "32"]
+    run("graph.py", "--device", "cpu", *few, "--out", str(out))
+    record = json.loads(out.read_text())
+    assert record["ok"] and record["same bits"] and record["steps"] == 3
+
+
 def test_parity_and_timing_run_dry(tmp_path: Path) -> None:
     pytest.importorskip("_refdgs_emulated")
     for name in ("parity", "timing"):
@@ -90,7 +98,7 @@ def test_parity_and_timing_run_dry(tmp_path: Path) -> None:
         text=True,
         check=False,
     )
-    assert done.returncode == 1 and "NOT ok: build, doctor, training" in done.stdout
+    assert done.returncode == 1 and "NOT ok: build, doctor, graph, training" in done.stdout
     assert "| edge-on | 12 |" in (tmp_path / "report.md").read_text()
 
 

@@ -1,0 +1,96 @@
+"""One step: draw a photo's view, compare, go back, and update everything."""
+
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from refdgs_pipe.ops import (
+    Plan,
+    composited,
+    image_loss_and_error,
+    mask_entropy,
+    normal_agreement,
+)
+from refdgs_pipe.ops.rasterize import Extra
+from refdgs_pipe.training import losses
+from refdgs_pipe.training.field import TrainableField
+from refdgs_pipe.training.photos import TrainingPhoto
+from refdgs_pipe.training.settings import TrainParams
+from refdgs_pipe.training.shading import Picture, draw
+
+NEAR = 0.02  # of the distance of the nearest camera to the ball's centre
+
+
+@dataclass(frozen=True)
+class Taken:
+    """What a step leaves to look at, without gradients.
+
+    Args:
+        loss, error: (), what was minimised and the mean squared error of the picture.
+        image, target: (H, W, 3).
+    """
+
+    loss: Tensor
+    error: Tensor
+    image: Tensor
+    target: Tensor
+
+
+def take_step(
+    field: TrainableField,
+    photo: TrainingPhoto,
+    backdrop: Tensor,
+    fraction: float,
+    *,
+    plan: Plan | None = None,
+    rates: Tensor | None = None,
+) -> Taken:
+    """One gradient and one update, of nothing where the plan's lists did not fit.
+
+    Args:
+        backdrop: (3,) sRGB, where the field is.
+        fraction: of the schedule; it decides which parts of the field take part.
+        rates: of `TrainableField.step`.
+    """
+    if plan is not None:
+        plan.begin()
+    p = field.params
+    extra: Extra = "distortion" if p.distortion_weight > 0 else "depth"
+    scene = field.scene(photo.pinhole, fraction)
+    picture = draw(scene, photo.pinhole, backdrop, extra=extra, plan=plan)
+    target = composited(photo.rgb, photo.mask, backdrop)
+    loss, error = _loss(p, picture, photo, target)
+    loss.backward()  # type: ignore[no-untyped-call]
+    misfit = None if plan is None else plan.misfit
+    field.observe(picture, photo.pinhole.width, misfit)
+    field.step(misfit, rates)
+    return Taken(loss.detach(), error, picture.image.detach(), target)
+
+
+def _loss(
+    p: TrainParams, picture: Picture, photo: TrainingPhoto, target: Tensor
+) -> tuple[Tensor, Tensor]:
+    """What is minimised, and the mean squared error of the picture."""
+    maps = picture.maps
+    valid = None if photo.valid is None else photo.valid.float()
+    loss, error = image_loss_and_error(picture.image, target, weight=valid, ssim_share=p.ssim_share)
+    # weights go in, so that backward has nothing to scale
+    if photo.mask is not None and p.mask_weight > 0:
+        loss = loss + mask_entropy(maps.alpha, photo.mask, weight=p.mask_weight)
+    if p.normal_weight > 0 and maps.normal is not None and maps.depth is not None:
+        loss = loss + normal_agreement(
+            maps.normal,
+            maps.depth,
+            maps.alpha,
+            photo.pinhole,
+            edge=p.normal_edge,
+            weight=p.normal_weight,
+        )
+    if p.smooth_weight > 0:
+        loss = loss + p.smooth_weight * losses.normal_smoothness(
+            picture.normal, picture.diffuse, picture.depth, maps.alpha
+        )
+    if maps.distortion is not None:
+        relative = maps.distortion.mean() / NEAR**2  # it is measured in near / depth
+        loss = loss + p.distortion_weight * relative
+    return loss, error
