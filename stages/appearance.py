@@ -27,7 +27,7 @@ class AppearanceParams(Params):
     )
 
 
-@stage(version=1, programs=("open3d-cpu", "scipy"))
+@stage(version=2, programs=("open3d-cpu", "scipy"))
 def appearance(
     mesh: Mesh, field: SurfelField, model: SparseModel, params: AppearanceParams, job: Job
 ) -> Appearance:
@@ -44,7 +44,8 @@ def appearance(
     sampler = Sampler(mesh, tolerance=tolerance, per_view=-(-params.samples // len(cameras)))
     for camera in job.track(cameras, "looking at places"):
         small = camera.fitted(sampler.pixels)
-        sampler.add(render_surface_map(field, small, device=job.device, threads=job.threads))
+        view = render_surface_map(field, small, device=job.device, threads=job.threads)
+        sampler.add(view, focal=float(camera.K[0, 0]))
     samples = sampler.samples()
     found = fit(
         mesh,

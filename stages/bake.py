@@ -32,7 +32,7 @@ class BakeParams(Params):
         return size
 
 
-@stage(version=3, programs=("open3d-cpu",))
+@stage(version=4, programs=("open3d-cpu",))
 def bake(
     mesh: UvMesh,
     looks: Appearance,

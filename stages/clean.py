@@ -22,20 +22,20 @@ class CleanParams(Params):
     hole: float = Field(0.15, ge=0, le=10, description="shorter rims are closed, in ball diameters")
     smoothing: int = Field(5, ge=0, le=200, description="smoothing steps (Taubin), a count")
     outlines: int = Field(
-        3, ge=0, le=20, description="times that the mesh is fitted to the views' outlines, a count"
+        3, ge=0, le=20, description="times that the mesh is fitted to its views, a count"
     )
     faces: int = Field(
         50_000, ge=100, le=5_000_000, description="the most triangles the mesh may have, a count"
     )
 
 
-@stage(version=3, programs=("pymeshlab", "open3d-cpu"))
+@stage(version=4, programs=("pymeshlab", "open3d-cpu"))
 def clean(
     raw: RawMesh, field: SurfelField, model: SparseModel, params: CleanParams, job: Job
 ) -> Mesh:
-    """Remove floaters, repair, close small holes, smooth, simplify, and fit to the outlines."""
+    """Remove floaters, repair, close small holes, smooth, simplify, and fit to the views."""
     from refdgs_pipe.surface import cleanup, support
-    from refdgs_pipe.surface.silhouettes import fitted
+    from refdgs_pipe.surface.registration import fitted
     from refdgs_pipe.training.render import render_surface_map
 
     diameter = 2 * model.ball.radius

@@ -1,10 +1,10 @@
-"""Move a mesh along its normals until its outlines are those that the cameras see.
+"""How far a mesh lies off the surface, told by its outlines and those that the cameras see.
 
 Fused depth lies a little behind the surface: where surfels overlap, the mean depth of a ray is
 that of deeper ones too. Outlines have no such bias, and every convex place is on some.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import cv2
@@ -13,25 +13,20 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, diags_array
 from scipy.sparse.linalg import cg
 
-from refdgs_pipe.artifacts.mesh import Mesh, TriangleMesh
-from refdgs_pipe.artifacts.sparse_model import SparseModel
-from refdgs_pipe.artifacts.surface_map import SurfaceMap
+from refdgs_pipe.artifacts.mesh import TriangleMesh
 from refdgs_pipe.camera import Camera
-from refdgs_pipe.received import links_of
 from refdgs_pipe.tracing import Solid
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-_LONGEST = 640  # pixels: more do not make an outline much sharper
-_COVERED = 0.5  # alpha
-_LIMIT = 0.01  # diameters of the object ball: further away is another part's outline
 _GRAZING = 0.2  # cosine: the vertex is where the surface turns away from the eye
 _OUTSIDE = 1.5  # pixels beyond the vertex, where the eye must see past the mesh
-_MOST = 12.0  # views that count for a vertex
+MOST = 12.0  # views that count for a vertex
 _STIFFNESS = 30.0  # of the displacement between neighbours, against one view
 _REST = 0.003  # of staying where no outline is near
+_REMAP = 30000  # cv2.remap refuses more than 32767 rows
 
 
 @dataclass(frozen=True)
@@ -54,6 +49,10 @@ class Outline:
         inside = np.where(solid > 0, within - 0.5, 0.5 - beyond)
         return cls(camera, inside.astype(np.float32))
 
+    def at(self, pixels: F64) -> F32:
+        """(N,) the distances at pixel coordinates (N, 2)."""
+        return looked_up(self.inside, pixels)[:, 0]
+
     @classmethod
     def of_mesh(cls, camera: Camera, solid: Solid) -> "Outline":
         """Where a mesh would be seen."""
@@ -64,54 +63,20 @@ class Outline:
         return cls.of(camera, covered.reshape(camera.height, camera.width))
 
 
-def fitted(
-    mesh: Mesh,
-    model: SparseModel,
-    draw: Callable[[Camera], SurfaceMap],
-    *,
-    rounds: int,
-    track: Callable[[list[Camera], str], Iterable[Camera]],
-) -> Mesh:
-    """The mesh fitted to the outlines that training cameras see of the object.
-
-    Args:
-        draw: what a camera sees.
-        track: wraps the cameras, to report progress under a label.
-    """
-    if not rounds:
-        return mesh
-    cameras = [c for c in model.cameras if c.split == "train"] or list(model.cameras)
-    outlines = []
-    for camera in track(cameras, "looking at outlines"):
-        view = draw(camera.fitted(_LONGEST))
-        outlines.append(Outline.of(view.camera, view.alpha >= _COVERED))
-    limit = _LIMIT * 2 * model.ball.radius
-    moved = fit_outlines(mesh, outlines, limit=limit, rounds=rounds)
-    return Mesh(moved.vertices, moved.faces)
-
-
-def fit_outlines(
-    mesh: TriangleMesh, outlines: Sequence[Outline], *, limit: float, rounds: int
-) -> TriangleMesh:
-    """The mesh with its vertices moved along their normals.
+def outline_pull(
+    mesh: TriangleMesh, normals: F32, solid: Solid, outlines: Iterable[Outline], *, limit: float
+) -> tuple[F64, F64]:
+    """How many views tell of each vertex (V,), and how far it should move outwards times that.
 
     Args:
         limit: outlines further away than this are another part's, world units.
-        rounds: times that the outlines are looked up and the vertices moved.
     """
-    links = links_of(mesh.faces)
-    for _ in range(rounds):
-        normals = mesh.vertex_normals()
-        solid = Solid(mesh.vertices, mesh.faces)
-        count, total = (np.zeros(len(mesh.vertices)) for _ in range(2))
-        for outline in outlines:
-            vertices, wanted = _wanted(mesh, normals, solid, outline, limit)
-            np.add.at(count, vertices, 1)
-            np.add.at(total, vertices, wanted)
-        moved = _spread(count, total, links)
-        points = mesh.vertices + moved[:, None] * normals
-        mesh = TriangleMesh(points.astype(np.float32), mesh.faces)
-    return mesh
+    count, total = (np.zeros(len(mesh.vertices)) for _ in range(2))
+    for outline in outlines:
+        vertices, wanted = _wanted(mesh, normals, solid, outline, limit)
+        np.add.at(count, vertices, 1)
+        np.add.at(total, vertices, wanted)
+    return count, total
 
 
 def _wanted(
@@ -144,16 +109,33 @@ def _wanted(
     return rows[near], wanted[near]
 
 
-def _spread(count: F64, total: F64, links: Ints) -> F64:
-    """(V,) displacements near what the outlines want, alike between neighbours, else small."""
-    vertices = len(count)
-    weight = np.minimum(count, _MOST)
-    pull = np.where(count > 0, total / np.maximum(count, 1), 0) * weight
+def looked_up(picture: F32, pixels: F64) -> F32:
+    """(N, C) bilinear values of a picture (H, W[, C]) at pixel coordinates (N, 2)."""
+    x, y = (np.ascontiguousarray(pixels[:, i] - 0.5, np.float32)[:, None] for i in (0, 1))
+    parts = [
+        cv2.remap(picture, x[i : i + _REMAP], y[i : i + _REMAP], cv2.INTER_LINEAR)
+        for i in range(0, len(x), _REMAP)
+    ]
+    channels = picture.shape[2] if picture.ndim == 3 else 1
+    empty = np.zeros((0, channels), np.float32)
+    return np.concatenate([empty, *(part.reshape(-1, channels) for part in parts)])
+
+
+def spread_evenly(
+    weight: F64, pull: F64, links: Ints, *, stiffness: float = _STIFFNESS, rest: float = _REST
+) -> F64:
+    """(V,) displacements near what is wanted, alike between neighbours, else small.
+
+    Args:
+        weight: (V,) of what each place wants; pull: (V,) that times what it wants.
+        links: (E, 2) neighbours.
+        stiffness, rest: weights of neighbours' moving alike, and of staying.
+    """
+    count = len(weight)
     a, b = links.T
-    ones = np.full(len(links), _STIFFNESS)
-    shape = (vertices, vertices)
-    across = coo_array((np.r_[ones, ones], (np.r_[a, b], np.r_[b, a])), shape=shape).tocsr()
+    ones = np.full(len(links), stiffness)
+    across = coo_array((np.r_[ones, ones], (np.r_[a, b], np.r_[b, a])), shape=(count, count))
     degree = np.asarray(across.sum(1)).reshape(-1)
-    system = diags_array(degree + weight + _REST) - across
+    system = diags_array(degree + weight + rest) - across.tocsr()
     found, _ = cg(system, pull, rtol=1e-4, maxiter=500)
     return np.asarray(found, np.float64)

@@ -18,6 +18,7 @@ from refdgs_pipe.artifacts.mesh import TriangleMesh
 from refdgs_pipe.light import Environment, blur, lookups
 from refdgs_pipe.received import Sky, links_of, look_around, spread
 from refdgs_pipe.texture.sampling import Samples
+from refdgs_pipe.texture.swing import Swing
 from refdgs_pipe.texture.unknowns import Batch, State, Unknown
 
 F32 = NDArray[np.float32]
@@ -27,10 +28,7 @@ Ints = NDArray[np.int64]
 _LEAST_LIGHT = 0.3
 # The brightest that surfaces reflect: white paint, polished silver.
 _WHITE, _SILVER = 0.8, 0.9
-# The swing of the reflections over that of the light lies between these from plastic to metal.
-_PLASTIC, _METAL = 0.2, 0.4
 _OPEN = 0.6  # what sees less of the sky says little about how bright it is
-_SPLIT_SMOOTHING = 4
 _BATCH = 50_000
 
 
@@ -82,8 +80,7 @@ def _fitted(
     state = problem.start(metal=metal)
     first, second = plan.epochs
     state = problem.descend(state, first, plan.rate, lambda done: progress(done, total))
-    if metal:
-        state = problem.split(state)
+    state = problem.split(state, metal=metal)
     state = problem.descend(state, second, plan.rate, lambda done: progress(first + done, total))
     return problem.result(state)
 
@@ -181,34 +178,20 @@ class _Problem:
         received = self.sky.received(around, self.sent)
         return replace(state, received=np.maximum(received, 1e-3))
 
-    def split(self, state: State) -> State:
-        """Tell metal by how much its radiance swings from view to view.
+    def split(self, state: State, *, metal: bool) -> State:
+        """Tell roughness, and metal if there may be any, by how much reflections swing.
 
-        A surface sends light * reflectance, so over the views of one place the deviation of what
-        it sends is that of the light that it mirrors, times its reflectance. This needs no
-        correct normal: a wrong one mirrors other light, but light that varies as much.
+        A metal's reflectance is not known beforehand. But least squares only ever takes it for too
+        rough, so there the smoother of both counts.
         """
         around = Environment(state.light.reshape(self.height, -1, 3))
-        rough = np.asarray(self.corners @ state.roughness, np.float32)
-        mirrored = around.mirrored(self.samples.mirrored, rough)
-        mirrored = np.where(self.far[:, None], mirrored, self.near)
-        swing = self._deviation(self.samples.specular)
-        share = swing / np.maximum(self._deviation(mirrored), 1e-3)
-        step = np.clip((share - _PLASTIC) / (_METAL - _PLASTIC), 0, 1)
-        metallic = (step * step * (3 - 2 * step)).astype(np.float32)
-        return self._lit(replace(state, metallic=metallic, is_told=True))
-
-    def _deviation(self, values: F32) -> F32:
-        """(V,) standard deviation over the samples around each vertex."""
-        weight = np.asarray(self.corners.sum(0)).reshape(-1, 1)
-        first = np.asarray(self.corners.T @ values, np.float32)
-        second = np.asarray(self.corners.T @ (values * values), np.float32)
-        known = np.maximum(weight, 1e-6)
-        spread_out = np.maximum(second - first * first / known, 0)
-        both = np.concatenate([spread_out.mean(1, keepdims=True), weight], 1).astype(np.float32)
-        for _ in range(_SPLIT_SMOOTHING):
-            both = spread(both, self.links)
-        return np.asarray(np.sqrt(both[:, 0] / np.maximum(both[:, 1], 1e-6)), np.float32)
+        swing = Swing(self.samples, self.corners, self.near, self.links)
+        metallic = swing.metal(around, state.roughness) if metal else state.metallic
+        swung = swing.roughness(around, metallic, state.tint)
+        smoother = np.minimum(state.roughness, swung)
+        roughness = swung + metallic * (smoother - swung)
+        told = replace(state, metallic=metallic, roughness=roughness, is_told=True)
+        return self._lit(told)
 
     def descend(
         self, state: State, epochs: int, rate: float, progress: Callable[[int], None]

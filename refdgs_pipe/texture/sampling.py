@@ -1,6 +1,7 @@
 """Pixels of many views, put on the mesh: what each shows, and what its mirrored ray meets."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,12 +9,14 @@ from numpy.typing import NDArray
 from refdgs_pipe.artifacts.mesh import TriangleMesh
 from refdgs_pipe.artifacts.surface_map import SurfaceMap
 from refdgs_pipe.errors import MeshError
+from refdgs_pipe.received import links_of, spread
 from refdgs_pipe.tracing import Solid, at_hits
 
 F32 = NDArray[np.float32]
 Ints = NDArray[np.int64]
 _MIN_ALPHA = 0.9
 _MIN_COSINE = 0.1
+_CALMING = 2  # passes over the normals before their turning is measured
 
 
 @dataclass(frozen=True)
@@ -27,6 +30,8 @@ class Samples:
         near_face: (N,) the face that it meets, -1 for none; near_weights: (N, 3).
         diffuse, specular: (N, 3) linear radiance, as the field splits it.
         roughness: (N,) as the field has it.
+        footprint: (N,) the square of the GGX alpha that the normals within a pixel of the photo
+            make up, see `seen_roughness`.
     """
 
     face: Ints
@@ -38,6 +43,7 @@ class Samples:
     diffuse: F32
     specular: F32
     roughness: F32
+    footprint: F32
 
     @property
     def radiance(self) -> F32:
@@ -56,6 +62,7 @@ class Sampler:
     def __init__(self, mesh: TriangleMesh, *, tolerance: float, per_view: int) -> None:
         self.mesh, self.tolerance, self.per_view = mesh, tolerance, per_view
         self._normals = mesh.vertex_normals()
+        self._bent = _squared_curvature(mesh, self._normals)
         self._solid = Solid(mesh.vertices, mesh.faces)
         self._parts: list[Samples] = []
 
@@ -64,8 +71,12 @@ class Sampler:
         """The longest side of a view that has enough pixels to take."""
         return max(256, int(3 * float(np.sqrt(self.per_view))))
 
-    def add(self, view: SurfaceMap) -> int:
-        """Take what one view shows; gives how many of its pixels were taken."""
+    def add(self, view: SurfaceMap, *, focal: float | None = None) -> int:
+        """Take what one view shows; gives how many of its pixels were taken.
+
+        Args:
+            focal: of the photo that the field learnt this from, pixels; None: as the view's.
+        """
         camera = view.camera
         solid = np.flatnonzero((view.alpha.reshape(-1) >= _MIN_ALPHA) & (view.depth.ravel() > 0))
         chance = np.random.default_rng(len(self._parts))
@@ -82,8 +93,11 @@ class Sampler:
         good = np.flatnonzero(near & (cosine > _MIN_COSINE))[: self.per_view]
         if not len(good):
             return 0
+        mesh = self.mesh
         rows, face, weights = rows[good], hits.face[good], hits.weights[good]
         mirrored = 2 * cosine[good, None] * normal[good] - toward[good]
+        pixel = hits.distance[good] / np.float32(focal or camera.K[0, 0])
+        bent = at_hits(self._bent, mesh.faces, face, weights)[:, 0]
         near_face, near_weights = self._mirror(face, weights, mirrored.astype(np.float32))
         self._parts.append(
             Samples(
@@ -96,6 +110,7 @@ class Sampler:
                 view.diffuse.reshape(-1, 3)[rows],
                 view.specular.reshape(-1, 3)[rows],
                 view.roughness.reshape(-1)[rows],
+                (2 * bent * pixel**2 / 12).astype(np.float32),
             )
         )
         return len(rows)
@@ -127,3 +142,30 @@ class Sampler:
         return Samples(
             **{name: np.concatenate([getattr(p, name) for p in self._parts]) for name in fields}
         )
+
+
+def seen_roughness(roughness: Any, footprint: Any) -> Any:
+    """The roughness that a pixel shows of a surface that bends within it; arrays or tensors.
+
+    Slopes of normals within the pixel add to those of the microfacets: alpha^2 is twice their
+    variance along one axis (Kaplanyan et al. 2016, "Filtering distributions of normals for
+    shading antialiasing").
+    """
+    return (roughness**4 + footprint).clip(0, 1) ** 0.25
+
+
+def _squared_curvature(mesh: TriangleMesh, normals: F32) -> F32:
+    """(V, 1) mean square of the normal curvature along the edges, 1 / world units squared."""
+    links = links_of(mesh.faces)
+    for _ in range(_CALMING):
+        normals = spread(normals, links)
+        normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+    a, b = links.T
+    turned = ((normals[a] - normals[b]) ** 2).sum(1)
+    length = ((mesh.vertices[a] - mesh.vertices[b]) ** 2).sum(1)
+    bent = turned / np.maximum(length, 1e-12)
+    total, count = (
+        sum(np.bincount(end, weights=w, minlength=len(normals)) for end in (a, b))
+        for w in (bent, np.ones(len(links)))
+    )
+    return np.asarray(total / np.maximum(count, 1), np.float32)[:, None]

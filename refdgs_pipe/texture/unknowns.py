@@ -17,13 +17,14 @@ from refdgs_pipe.light import (
     level_weights,
     reflection_line,
 )
-from refdgs_pipe.texture.sampling import Samples
+from refdgs_pipe.texture.sampling import Samples, seen_roughness
 
 F32 = NDArray[np.float32]
 Ints = NDArray[np.int64]
 
 
 _ROUGH = 1e-4  # loss for being smooth
+_TOLD = 0.06  # loss for leaving what was told
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,7 @@ class State:
     Args:
         light: (H * 2H, 3); received: (V, 3) what a white matte surface would show.
         roughness, metallic: (V,); tint: (V, 3); gain: (V, 1), of the diffuse radiance.
-        is_told: whether `metallic` is what was told, and to be kept near.
+        is_told: whether `metallic` and `roughness` are what was told, and to be kept near.
     """
 
     light: F32
@@ -58,7 +59,8 @@ class Unknown:
         self.tint = leaf(_logit(state.tint))
         self.gain = leaf(np.log(state.gain))
         self.received = torch.from_numpy(state.received)
-        self.told = torch.from_numpy(state.metallic[:, None]) if state.is_told else None
+        told = np.stack([state.metallic, state.roughness], 1)
+        self.told = torch.from_numpy(told) if state.is_told else None
 
     def groups(self, rate: float) -> list[dict[str, Any]]:
         fast, slow = [self.rough, self.metal], [self.light, self.tint, self.gain]
@@ -87,7 +89,9 @@ class Unknown:
             (sky - sky.roll(1, 1)).abs().mean() + (sky[1:] - sky[:-1]).abs().mean()
         )
         if self.told is not None:
-            total = total + 0.02 * ((torch.sigmoid(self.metal) - self.told) ** 2).mean()
+            rough = SMOOTHEST + (1 - SMOOTHEST) * torch.sigmoid(self.rough)
+            found = torch.cat([torch.sigmoid(self.metal), rough], 1)
+            total = total + _TOLD * ((found - self.told) ** 2).sum(1).mean()
         return total
 
     def state(self) -> State:
@@ -115,6 +119,7 @@ class Batch:
     diffuse: Tensor
     near: Tensor
     is_far: Tensor
+    footprint: Tensor
     target: Tensor
 
     @classmethod
@@ -139,6 +144,7 @@ class Batch:
             tensor(samples.diffuse[rows]),
             tensor(near[rows]),
             tensor(samples.near_face[rows, None] < 0),
+            tensor(samples.footprint[rows, None]),
             _encoded(tensor(samples.radiance[rows])),
         )
 
@@ -149,7 +155,8 @@ class Batch:
         tint, received = there[:, 3:6], there[:, 6:9]
         levels = _Blurred.apply(unknown.light.exp(), blurring)  # type: ignore[no-untyped-call]
         far = torch.zeros_like(tint)
-        for weight, look, level in zip(level_weights(rough), self.looks, levels, strict=True):
+        seen = seen_roughness(rough, self.footprint)
+        for weight, look, level in zip(level_weights(seen), self.looks, levels, strict=True):
             far = far + weight * _Apply.apply(level, look)  # type: ignore[no-untyped-call]
         painted = (self.diffuse * gain / received).clamp(max=1)
         base = painted * (1 - metal) + tint * metal

@@ -5,7 +5,9 @@ import pytest
 from scenes import Scene, Sphere, constant, gradient_sky, orbit
 from solids import sphere
 
-from refdgs_pipe.surface.silhouettes import Outline, fit_outlines
+from refdgs_pipe.artifacts.mesh import TriangleMesh
+from refdgs_pipe.surface.registration import fit_views
+from refdgs_pipe.surface.silhouettes import Outline
 
 GREY = constant(0.5, 0.5, 0.5)
 CAMERAS = orbit(40, size=200, focal=250)  # a pixel is 0.016 at the object
@@ -13,6 +15,12 @@ CAMERAS = orbit(40, size=200, focal=250)  # a pixel is 0.016 at the object
 
 def outlines(scene: Scene) -> list[Outline]:
     return [Outline.of(camera, scene.surface_map(camera).alpha > 0.5) for camera in CAMERAS]
+
+
+def fit_outlines(
+    mesh: TriangleMesh, seen: list[Outline], *, limit: float, rounds: int
+) -> TriangleMesh:
+    return fit_views(mesh, seen, [], limit=limit, rounds=rounds)
 
 
 @pytest.mark.parametrize("radius", [0.96, 1.03])

@@ -1,0 +1,82 @@
+"""Fit a mesh to its views: to their outlines, and to where they agree on its colours."""
+
+from collections.abc import Callable, Iterable, Sequence
+
+import numpy as np
+
+from refdgs_pipe.artifacts.mesh import Mesh, TriangleMesh
+from refdgs_pipe.artifacts.sparse_model import SparseModel
+from refdgs_pipe.artifacts.surface_map import SurfaceMap
+from refdgs_pipe.camera import Camera
+from refdgs_pipe.received import links_of
+from refdgs_pipe.surface.agreement import Pattern, disagreement
+from refdgs_pipe.surface.rims import fit_rims
+from refdgs_pipe.surface.silhouettes import MOST, Outline, outline_pull, spread_evenly
+from refdgs_pipe.tracing import Solid
+
+_LONGEST = 640  # pixels: more do not make an outline much sharper
+_COVERED = 0.5  # alpha
+_LIMIT = 0.01  # diameters of the object ball: what lies further off is another part's
+_BLUR = (1.5, 1.0)  # pixels, in the first round and then: further, then finer
+
+
+def fitted(
+    mesh: Mesh,
+    model: SparseModel,
+    draw: Callable[[Camera], SurfaceMap],
+    *,
+    rounds: int,
+    track: Callable[[list[Camera], str], Iterable[Camera]],
+) -> Mesh:
+    """The mesh fitted to what training cameras see of the object.
+
+    Args:
+        draw: what a camera sees.
+        track: wraps the cameras, to report progress under a label.
+    """
+    if not rounds:
+        return mesh
+    cameras = [c for c in model.cameras if c.split == "train"] or list(model.cameras)
+    limit = _LIMIT * 2 * model.ball.radius
+    outlines, patterns = [], []
+    for camera in track(cameras, "looking at outlines"):
+        view = draw(camera.fitted(_LONGEST))
+        outlines.append(Outline.of(view.camera, view.alpha >= _COVERED))
+        patterns.append(Pattern(view, near=limit))
+    moved = fit_views(mesh, outlines, patterns, limit=limit, rounds=rounds)
+    return Mesh(moved.vertices, moved.faces)
+
+
+def fit_views(
+    mesh: TriangleMesh,
+    outlines: Sequence[Outline],
+    patterns: Sequence[Pattern],
+    *,
+    limit: float,
+    rounds: int,
+) -> TriangleMesh:
+    """The mesh with its vertices moved along their normals, and its open rims where they end.
+
+    Args:
+        limit: what lies further off than this is another part's, world units.
+        rounds: times that the views are looked at and the vertices moved.
+    """
+    links = links_of(mesh.faces)
+    for number in range(rounds):
+        normals = mesh.vertex_normals()
+        solid = Solid(mesh.vertices, mesh.faces)
+        blur = _BLUR[min(number, len(_BLUR) - 1)]
+        told = [
+            outline_pull(mesh, normals, solid, outlines, limit=limit),
+            disagreement(mesh, normals, solid, patterns, near=limit, blur=blur),
+        ]
+        weight, pull = np.zeros(len(normals)), np.zeros(len(normals))
+        for known, total in told:
+            trust = np.minimum(known, MOST)
+            weight += trust
+            pull += trust * np.clip(total / np.maximum(known, 1e-6), -limit, limit)
+        moved = spread_evenly(weight, pull, links)
+        points = mesh.vertices + moved[:, None] * normals
+        mesh = TriangleMesh(points.astype(np.float32), mesh.faces)
+        mesh = fit_rims(mesh, outlines, limit=limit)
+    return mesh

@@ -1,0 +1,78 @@
+"""Roughness and metal are told from how reflections swing, whatever the normals."""
+
+import numpy as np
+import pytest
+from scenes import gradient_sky
+from solids import sphere
+
+from refdgs_pipe.light import DIELECTRIC, Environment, reflected_share, texel_directions
+from refdgs_pipe.received import links_of
+from refdgs_pipe.texture.fitting import _corner_matrix
+from refdgs_pipe.texture.sampling import Samples, seen_roughness
+from refdgs_pipe.texture.swing import Swing
+
+HEIGHT = 32
+BALL = sphere(8)
+PER_FACE = 200
+
+
+def windows() -> np.ndarray:
+    """A light with small bright windows."""
+    sky = 0.2 * gradient_sky(texel_directions(HEIGHT).reshape(-1, 3)).reshape(HEIGHT, -1, 3)
+    sky[6:9, 10:14], sky[12:15, 40:43], sky[20:22, 25:28] = 4.0, 6.0, 5.0
+    return sky.astype(np.float32)
+
+
+def swing(roughness: float, f0: float, footprint: float = 0.0) -> Swing:
+    """Samples of a ball whose normals are all wrong: any place mirrors any direction."""
+    random = np.random.default_rng(1)
+    count = PER_FACE * len(BALL.faces)
+    face = np.repeat(np.arange(len(BALL.faces)), PER_FACE)
+    weights = np.full((count, 3), 1 / 3, np.float32)
+
+    def directions() -> np.ndarray:
+        found = random.normal(size=(count, 3))
+        return (found / np.linalg.norm(found, axis=1, keepdims=True)).astype(np.float32)
+
+    cosine = np.full(count, 0.8, np.float32)
+    seen = np.full(count, seen_roughness(np.float32(roughness), np.float32(footprint)), np.float32)
+    mirrored = Environment(windows()).mirrored(directions(), seen)
+    rough = np.full((count, 1), roughness, np.float32)
+    share = reflected_share(np.full((count, 3), f0, np.float32), rough, cosine[:, None])
+    samples = Samples(
+        face,
+        weights,
+        cosine,
+        directions(),
+        np.full(count, -1),
+        np.zeros((count, 3), np.float32),
+        np.full((count, 3), 0.3, np.float32),
+        mirrored * share,
+        rough[:, 0],
+        np.full(count, footprint, np.float32),
+    )
+    corners = _corner_matrix(BALL, face, weights)
+    return Swing(samples, corners, np.zeros((count, 3), np.float32), links_of(BALL.faces))
+
+
+@pytest.mark.parametrize("roughness", [0.2, 0.3, 0.5])
+@pytest.mark.parametrize("footprint", [0.0, 0.005])
+def test_roughness_is_told_with_normals_that_are_all_wrong(
+    roughness: float, footprint: float
+) -> None:
+    flat = np.zeros(len(BALL.vertices), np.float32)
+    tint = np.full((len(flat), 3), 0.8, np.float32)
+    told = swing(roughness, DIELECTRIC, footprint).roughness(Environment(windows()), flat, tint)
+    assert abs(np.median(told) - roughness) < 0.03
+
+
+@pytest.mark.parametrize(("f0", "metal"), [(0.04, 0.0), (0.9, 1.0)])
+def test_metal_is_what_swings_as_much_as_the_light(f0: float, metal: float) -> None:
+    rough = np.full(len(BALL.vertices), 0.2, np.float32)
+    told = swing(0.2, f0).metal(Environment(windows()), rough)
+    assert np.abs(told - metal).max() < 0.2
+
+
+def test_what_bends_within_a_pixel_looks_rougher() -> None:
+    assert seen_roughness(np.float32(0.3), np.float32(0.0)) == pytest.approx(0.3)
+    assert seen_roughness(np.float32(0.1), np.float32(0.0256)) == pytest.approx(0.4, abs=1e-3)
