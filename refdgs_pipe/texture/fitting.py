@@ -189,7 +189,7 @@ class _Problem:
         metallic = swing.metal(around, state.roughness) if metal else state.metallic
         swung = swing.roughness(around, metallic, state.tint)
         smoother = np.minimum(state.roughness, swung)
-        roughness = swung + metallic * (smoother - swung)
+        roughness: F32 = np.asarray(swung + metallic * (smoother - swung), np.float32)
         told = replace(state, metallic=metallic, roughness=roughness, is_told=True)
         return self._lit(told)
 
