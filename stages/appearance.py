@@ -27,7 +27,7 @@ class AppearanceParams(Params):
     )
 
 
-@stage(version=2, programs=("open3d-cpu", "scipy"))
+@stage(version=3, programs=("open3d-cpu", "scipy"))
 def appearance(
     mesh: Mesh, field: SurfelField, model: SparseModel, params: AppearanceParams, job: Job
 ) -> Appearance:

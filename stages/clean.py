@@ -1,6 +1,7 @@
 """Turn the fused mesh into one clean surface within a face budget."""
 
 from functools import partial
+from typing import Literal
 
 from pydantic import Field
 
@@ -14,12 +15,11 @@ from refdgs_pipe.pipeline.stage import Job, stage
 class CleanParams(Params):
     """Repair and simplification of the mesh."""
 
+    keep: Literal["object", "all"] = Field("all", description="object: no table or plate below it")
     floater: float = Field(
         0.08, ge=0, le=1, description="smaller loose pieces are removed, in ball diameters"
     )
-    hole: float = Field(
-        0.15, ge=0, le=10, description="holes with a shorter rim are closed, in ball diameters"
-    )
+    hole: float = Field(0.15, ge=0, le=10, description="shorter rims are closed, in ball diameters")
     smoothing: int = Field(5, ge=0, le=200, description="smoothing steps (Taubin), a count")
     outlines: int = Field(
         3, ge=0, le=20, description="times that the mesh is fitted to its views, a count"
@@ -29,32 +29,32 @@ class CleanParams(Params):
     )
 
 
-@stage(version=3, programs=("pymeshlab", "open3d-cpu"))
+@stage(version=4, programs=("pymeshlab", "open3d-cpu"))
 def clean(
     raw: RawMesh, field: SurfelField, model: SparseModel, params: CleanParams, job: Job
 ) -> Mesh:
     """Remove floaters, repair, close small holes, smooth, simplify, and fit to the views."""
-    from refdgs_pipe.surface import cleanup
+    from refdgs_pipe.surface import cleanup, support
     from refdgs_pipe.surface.registration import fitted
     from refdgs_pipe.training.render import render_surface_map
 
     diameter = 2 * model.ball.radius
     job.progress("cleaning", 0, None)
+    under = support.find_support(raw, model.up, diameter) if params.keep == "object" else None
+    if params.keep == "object" and under is None:
+        job.warn(support.NONE_FOUND)
     done = cleanup.clean(
-        raw,
+        support.above_support(raw, under) if under else raw,
         floater=params.floater * diameter,
         hole=params.hole * diameter,
         smoothing=params.smoothing,
         faces=params.faces,
         stop=job.stop,
     )
-    removed, mesh = done.removed, done.mesh
-    job.measure("faces", len(mesh.faces))
-    job.measure("floaters removed", removed.pieces)
-    job.measure("floaters' share of the area", round(removed.area_share, 4))
-    job.measure("open rims", len(done.rims))
-    job.measure("open area", round(sum(r.area for r in done.rims), 4), "square world units")
-    if removed.area_share > 0.2:
-        job.warn(f"{removed.area_share:.0%} of the fused surface was loose pieces and is removed")
+    for name, value, unit in [*done.figures(), *support.figures(under)]:
+        job.measure(name, value, unit)
+    if (lost := done.removed.area_share) > 0.2:
+        job.warn(f"{lost:.0%} of the fused surface was loose pieces and is removed")
+    # A removed table still covers what is behind the object: such outlines are too far to count.
     draw = partial(render_surface_map, field, device=job.device, threads=job.threads)
-    return fitted(mesh, model, draw, rounds=params.outlines, track=job.track)
+    return fitted(done.mesh, model, draw, rounds=params.outlines, track=job.track)

@@ -24,7 +24,7 @@ class ExportParams(Params):
     recipe: str = Field("", max_length=200, description="name to note; empty: the recipe's own")
 
 
-@stage(version=3, programs=("usd-core", "pymeshlab"))
+@stage(version=4, programs=("usd-core", "pymeshlab"))
 def export(
     textured: TexturedMesh,
     looks: Appearance,

@@ -10,7 +10,7 @@ LEAST_OVERLAP = 0.6  # of masks and field
 LEAST_FILL = 0.02  # of the object ball's disc, where there are no masks
 
 
-@stage(version=4)
+@stage(version=5)
 def train(views: Views, model: SparseModel, params: TrainParams, job: Job) -> SurfelField:
     """Optimise geometry, local reflection and background surfels and the shader."""
     import torch
@@ -18,11 +18,16 @@ def train(views: Views, model: SparseModel, params: TrainParams, job: Job) -> Su
     from refdgs_pipe.training.budget import planned, train_within
     from refdgs_pipe.training.trainer import Trainer
 
+    def starting(done: int, total: int) -> None:
+        job.progress("looking for hollows", done, total)
+
     torch.set_num_threads(job.threads)
     if job.device == "cuda":
         params = planned(params, model, vram=job.vram, warn=job.warn)
     trainer, field = train_within(
-        lambda p: Trainer(views, model, p, job.scratch, device=job.device, warn=job.warn),
+        lambda p: Trainer(
+            views, model, p, job.scratch, device=job.device, warn=job.warn, starting=starting
+        ),
         params,
         lambda done, total, note, work: job.progress("training", done, total, note, work),
         job.warn,

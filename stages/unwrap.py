@@ -1,5 +1,7 @@
 """Cut the mesh into charts and pack them in a square atlas."""
 
+from typing import Literal
+
 from pydantic import Field
 
 from refdgs_pipe.artifacts.mesh import Mesh, UvMesh
@@ -10,6 +12,9 @@ from refdgs_pipe.pipeline.stage import Job, stage
 class UnwrapParams(Params):
     """The atlas."""
 
+    backend: Literal["auto", "uvatlas", "xatlas"] = Field(
+        "auto", description="the program to prefer; auto: the better by stretch, use and time"
+    )
     gutter: float = Field(
         4.0, ge=0.5, le=64, description="space between charts, in 1/1024 of the atlas's side"
     )
@@ -21,7 +26,7 @@ class UnwrapParams(Params):
     )
 
 
-@stage(version=3, programs=("open3d-cpu", "xatlas"))
+@stage(version=4, programs=("open3d-cpu", "xatlas"))
 def unwrap(mesh: Mesh, params: UnwrapParams, job: Job) -> UvMesh:
     """Give every face its place in the atlas."""
     from refdgs_pipe.texture import charts
@@ -32,6 +37,7 @@ def unwrap(mesh: Mesh, params: UnwrapParams, job: Job) -> UvMesh:
         gutter=params.gutter / 1024,
         max_stretch=params.stretch,
         timeout_s=params.timeout,
+        backend=params.backend,
         stop=job.stop,
     )
     layout = done.layout
@@ -39,6 +45,9 @@ def unwrap(mesh: Mesh, params: UnwrapParams, job: Job) -> UvMesh:
     job.measure("charts", layout.charts)
     job.measure("atlas used", round(layout.used, 3))
     job.measure("stretch", round(layout.stretch, 3))
+    if len(done.tried) > 1:
+        tried = (f"{one.method} {one.worth:.2f}" for one in done.tried)
+        job.measure("worth of those tried", ", ".join(tried))
     if done.refused:
         job.warn(f"charts are by {layout.method}, because: {'; '.join(done.refused)}")
     return done.mesh

@@ -6,7 +6,8 @@ from solids import sphere
 
 from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
 from refdgs_pipe.color import srgb_from_linear
-from refdgs_pipe.texture.charts import one_by_one_corners, seam_split, unmirrored
+from refdgs_pipe.texture.charts import seam_split, unmirrored
+from refdgs_pipe.texture.programs import one_by_one_corners
 from refdgs_pipe.texture.tangents import mikktspace
 from refdgs_pipe.texture.texels import rasterize
 

@@ -55,3 +55,41 @@ def volume(mesh: TriangleMesh) -> float:
 def cube_corners() -> NDArray[np.float32]:
     """(8, 3) corners of the unit cube."""
     return np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float32)
+
+
+def with_fin(mesh: TriangleMesh) -> TriangleMesh:
+    """A third face on an edge."""
+    tip = mesh.vertices[mesh.faces[100, :1]] * np.float32(1.3)
+    fin = np.array([[*mesh.faces[100, :2], len(mesh.vertices)]], np.int32)
+    return TriangleMesh(np.concatenate([mesh.vertices, tip]), np.concatenate([mesh.faces, fin]))
+
+
+def with_flat_face(mesh: TriangleMesh) -> TriangleMesh:
+    a, b, _ = mesh.faces[50]
+    return TriangleMesh(
+        mesh.vertices, np.concatenate([mesh.faces, np.array([[a, b, b]], np.int32)])
+    )
+
+
+def two_pieces(mesh: TriangleMesh) -> TriangleMesh:
+    return joined(mesh, sphere(10, radius=0.3, center=(0, 0, 1.6)))
+
+
+def touching_pieces(mesh: TriangleMesh) -> TriangleMesh:
+    """Two balls that share one vertex."""
+    both = joined(mesh, sphere(10, radius=0.3, center=(0, 0, 1.3)))
+    lowest = len(both.vertices) - 1
+    return TriangleMesh(both.vertices, np.where(both.faces == lowest, 0, both.faces))
+
+
+def turned_face(mesh: TriangleMesh) -> TriangleMesh:
+    """One face looks inwards."""
+    faces = mesh.faces.copy()
+    faces[200] = faces[200, ::-1]
+    return TriangleMesh(mesh.vertices, faces)
+
+
+def with_nan(mesh: TriangleMesh) -> TriangleMesh:
+    vertices = mesh.vertices.copy()
+    vertices[40] = np.nan
+    return TriangleMesh(vertices, mesh.faces)

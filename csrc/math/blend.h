@@ -12,4 +12,8 @@ constexpr double kHitRadius2 = 12.0;
 // A disc seen edge-on has no usable inverse; its determinant is kept away from zero by this share.
 constexpr double kMinDeterminant = 1e-7;
 
+// The screen-space low-pass filter that a disc is not drawn smaller than: a squared radius of kLowPass d^2 at d
+// pixels from the centre, a Gaussian of 1 / sqrt(kLowPass) pixels.
+constexpr double kLowPass = 2.0;
+
 }  // namespace refdgs

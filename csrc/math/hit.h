@@ -36,7 +36,7 @@ template <class S> REFDGS_HD PixelHit<S> pixel_hit(const S* r, S x, S y, S near)
   h.iq = in_front ? inverse_of(q) : S(0);
   h.u = (r[2] * h.dx + r[3] * h.dy) * h.iq;
   h.v = (r[4] * h.dx + r[5] * h.dy) * h.iq;
-  const S rho3 = h.u * h.u + h.v * h.v, rho2 = 2 * (h.dx * h.dx + h.dy * h.dy);
+  const S rho3 = h.u * h.u + h.v * h.v, rho2 = S(kLowPass) * (h.dx * h.dx + h.dy * h.dy);
   h.on_disc = in_front && rho3 <= rho2;
   h.has_hit = in_front && rho3 <= S(kHitRadius2);
   h.rho = h.on_disc ? rho3 : rho2;
@@ -47,7 +47,7 @@ template <class S> REFDGS_HD PixelHit<S> pixel_hit(const S* r, S x, S y, S near)
 
 // Adds to G[0..8] (and G[10], G[11]) what a pixel passes to the record through rho and z.
 template <class S> REFDGS_HD void hit_vjp(const PixelHit<S>& h, const S* r, S g_rho, S g_z, S* G) {
-  const S on_disc = h.on_disc ? g_rho : S(0), low_pass = 4 * (g_rho - on_disc), scaled = 2 * on_disc * h.iq;
+  const S on_disc = h.on_disc ? g_rho : S(0), low_pass = S(2 * kLowPass) * (g_rho - on_disc), scaled = 2 * on_disc * h.iq;
   const S gpx = h.u * scaled, gpy = h.v * scaled, gz_disc = h.has_hit ? g_z * h.iq : S(0);
   G[8] += h.has_hit ? gz_disc : g_z;
   const S gq = -(h.u * gpx + h.v * gpy) - gz_disc * h.z;
@@ -78,7 +78,7 @@ template <class S> REFDGS_HD bool reaches(const S* r, S x, S y, S wide, S high) 
   const S yb = nearest_in(y0, y1, S(0)), xb = nearest_in(x0, x1, k[6] * yb);
   const auto at = [&](S px, S py) { return std::fma(px, std::fma(k[2], px, k[3] * py), k[4] * py * py); };
   const S cx = nearest_in(x - r[0], x - r[0] + wide, S(0)), cy = nearest_in(y - r[1], y - r[1] + high, S(0));
-  return least_of(at(xa, ya), at(xb, yb)) < S(1.02) || std::fma(cx, cx, cy * cy) < S(0.501) * r[10];
+  return least_of(at(xa, ya), at(xb, yb)) < S(1.02) || std::fma(cx, cx, cy * cy) < S(1.002 / kLowPass) * r[10];
 }
 
 }  // namespace refdgs

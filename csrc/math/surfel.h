@@ -133,7 +133,7 @@ REFDGS_HD DiscGrad<S> splat_vjp(const Disc<S>& d, const Pinhole<S>& cam, const S
 template <class S>
 REFDGS_HD bool bounds(const Disc<S>& d, const Pinhole<S>& cam, const Splat<S>& s, S cut, S* lo, S* hi) {
   const Tangents<S> t = tangents(d, cam);
-  const S low_pass = std::sqrt(S(0.5) * cut);
+  const S low_pass = std::sqrt(cut / S(kLowPass));
   lo[0] = s.x - low_pass, hi[0] = s.x + low_pass, lo[1] = s.y - low_pass, hi[1] = s.y + low_pass;
   const S delta = cut * (d.U.z * d.U.z + d.V.z * d.V.z) - s.z * s.z;
   if (delta >= -S(1e-6) * s.z * s.z) {  // the disc reaches the camera's plane

@@ -38,7 +38,7 @@ inline __attribute__((always_inline)) Hit<S> hit(const S* r, typename Simd<S>::v
   h.u = (r[2] * h.dx + r[3] * h.dy) * h.iq;
   h.v = (r[4] * h.dx + r[5] * h.dy) * h.iq;
   const auto rho3 = h.u * h.u + h.v * h.v;
-  const auto rho2 = 2 * (h.dx * h.dx + h.dy * h.dy);
+  const auto rho2 = S(kLowPass) * (h.dx * h.dx + h.dy * h.dy);
   h.on_disc = at_most(rho3, rho2) & in_front;
   h.has_hit = at_most(rho3, all(S(kHitRadius2))) & in_front;
   h.rho = select(h.on_disc, rho3, rho2);
@@ -73,7 +73,7 @@ inline uint64_t reached_blocks(const Lanes<S>& lanes, const S* r, const Box* box
     const vf a = xa * (k[2] * xa + k[3] * ya) + k[4] * ya * ya;
     const vf b = xb * (k[2] * xb + k[3] * yb) + k[4] * yb * yb;
     const vf cx = clamped(vf{}, x - r[0], x - r[0] + S(wide)), cy = clamped(vf{}, y - r[1], y - r[1] + S(high));
-    const auto near = less(min_of(a, b), all(S(1.02))) | less(cx * cx + cy * cy, all(S(0.501) * r[10]));
+    const auto near = less(min_of(a, b), all(S(1.02))) | less(cx * cx + cy * cy, all(S(1.002 / kLowPass) * r[10]));
     reached |= bits_of(near) << first;
   }
   return reached;
@@ -334,7 +334,7 @@ inline __attribute__((always_inline)) void replay(S near, const S* r, typename S
   const vf g_alpha = keep(on & at_most(raw, all(S(kMaxAlpha))), T * D - R * reciprocal(1 - alpha));
   G[9] += g_alpha * bump;
   const vf g_rho = S(-0.5) * g_alpha * alpha;
-  const vf on_disc = keep(h.on_disc, g_rho), low_pass = 4 * (g_rho - on_disc), scaled = 2 * on_disc * h.iq;
+  const vf on_disc = keep(h.on_disc, g_rho), low_pass = S(2 * kLowPass) * (g_rho - on_disc), scaled = 2 * on_disc * h.iq;
   const vf gpx = h.u * scaled, gpy = h.v * scaled;
   const vf gz_disc = keep(h.has_hit, gz * h.iq);
   G[8] += select(h.has_hit, gz_disc, gz);

@@ -7,7 +7,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from refdgs_pipe.errors import InputError
+from refdgs_pipe.errors import CorruptError, InputError
 from refdgs_pipe.files.obj import read_obj
 from refdgs_pipe.files.ply import read_mesh, write_mesh
 
@@ -58,6 +58,8 @@ class Mesh(TriangleMesh):
         if path.suffix.lower() not in readers:
             raise InputError(f"{path.name}: give the mesh as .ply or .obj")
         data = readers[path.suffix.lower()](path)
+        if not len(data.faces):
+            raise CorruptError(f"{path.name}: holds no triangles: adopt a mesh that has some")
         return cls(data.vertices, data.faces)
 
 

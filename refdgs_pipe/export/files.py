@@ -61,7 +61,7 @@ def writers(around: Surroundings | None = None, *, preview: int) -> list[Write]:
 
 
 def textures(folder: Path, product: Product) -> None:
-    """The pictures that USDC and OBJ refer to."""
+    """The pictures that USDC and OBJ refer to, and what photos saw of each texel."""
     (folder / _TEXTURES).mkdir(exist_ok=True)
     for name, content in (
         ("base_color.jpg", jpeg(product.base_color)),
@@ -69,6 +69,7 @@ def textures(folder: Path, product: Product) -> None:
         ("metallic.png", png(product.metallic)),
         ("occlusion.png", png(product.occlusion)),
         ("normal.png", png(product.normal)),
+        ("confidence.png", png(product.confidence)),
     ):
         (folder / _TEXTURES / name).write_bytes(content)
 

@@ -27,6 +27,7 @@ class Product:
         vertices, normals: (V, 3) float32; tangents: (V, 4); uv: (V, 2), v down; faces: (F, 3).
         base_color: (S, S, 3) sRGB; roughness, metallic, occlusion: (S, S) linear;
         normal: (S, S, 3), green up.
+        confidence: (S, S) linear; 0 where no camera saw the surface, and only there.
         is_open: some edge has a face on one side only, so the inside can be seen.
         about: what the files say about themselves; see `about_asset`.
     """
@@ -41,6 +42,7 @@ class Product:
     metallic: U8
     occlusion: U8
     normal: U8
+    confidence: U8
     is_open: bool
     about: About = field(default_factory=dict)
 
@@ -74,6 +76,7 @@ def product(
         metallic=_eight_bits(textured.metallic),
         occlusion=_eight_bits(textured.occlusion),
         normal=_eight_bits(textured.normal),
+        confidence=np.maximum(_eight_bits(textured.confidence), textured.confidence > 0),
         is_open=_is_open(mesh.vertices, mesh.faces),
         about=about or {},
     )

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from refdgs_pipe.color import srgb_from_linear
 from refdgs_pipe.export.preview import cast, rays_around, reach_around, shade
 from refdgs_pipe.export.product import Product
-from refdgs_pipe.tracing import Hits
+from refdgs_pipe.tracing import Hits, at_hits
 
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
@@ -19,6 +19,11 @@ _SUPERSAMPLING = 2
 _CLAY = np.array([0.80, 0.82, 0.85], np.float32)  # sRGB
 _LINE = np.array([0.05, 0.16, 0.36], np.float32)
 _LINE_WIDTH = 0.55  # half of it, in pixels
+# What photos saw, sRGB: nothing, little, much; and the inside of the surface, through a hole.
+UNSEEN = np.array([0.84, 0.19, 0.19], np.float32)
+LITTLE = np.array([0.98, 0.75, 0.24], np.float32)
+MUCH = np.array([0.12, 0.51, 0.59], np.float32)
+INSIDE = np.array([0.75, 0.27, 0.86], np.float32)
 
 
 @dataclass(frozen=True)
@@ -42,6 +47,33 @@ def render_turntable(product: Product, *, count: int, side: int, threads: int = 
 def render_close_up(product: Product, *, side: int, zoom: float) -> Turn:
     """The middle of the object's front, with a longer lens."""
     return _turn(product, 0.0, side, reach=reach_around(product, 0.0), zoom=zoom)
+
+
+def render_coverage(product: Product, *, count: int, side: int) -> list[U8]:
+    """(side, side, 4) pictures from `count` sides of what photos saw: see the colours above."""
+    azimuths = [2 * np.pi * i / count for i in range(count)]
+    reach = max(reach_around(product, azimuth) for azimuth in azimuths)
+    pictures = []
+    for azimuth in azimuths:
+        fine = side * _SUPERSAMPLING
+        origin, rays = rays_around(product, azimuth, fine, reach=reach)
+        hits = cast(product, origin, rays)
+        pictures.append(_picture(_coverage(product, hits, -rays[hits.rays]), hits, fine, side))
+    return pictures
+
+
+def _coverage(product: Product, hits: Hits, toward: F32) -> F32:
+    """(N, 3) sRGB, shaded by the geometry."""
+    size = len(product.confidence)
+    uv = at_hits(product.uv, product.faces, hits.face, hits.weights)
+    column, row = np.clip((uv * size).astype(np.int64), 0, size - 1).T
+    trust = product.confidence[row, column, None] / np.float32(255)
+    color = np.where(trust > 0, LITTLE + (MUCH - LITTLE) * trust, UNSEEN)
+    a, b, c = (product.vertices[product.faces[hits.face, i]] for i in range(3))
+    normal = np.cross(b - a, c - a)
+    facing = (normal * toward).sum(1) / np.maximum(np.linalg.norm(normal, axis=1), 1e-20)
+    color = np.where(facing[:, None] < 0, INSIDE, color)
+    return np.asarray(color * (0.45 + 0.55 * np.abs(facing))[:, None], np.float32)
 
 
 def _turn(product: Product, azimuth: float, side: int, *, reach: float, zoom: float) -> Turn:

@@ -13,6 +13,7 @@ MAX_ALPHA = 0.99
 MIN_TRANSMITTANCE = 1e-4
 HIT_RADIUS2 = 12.0
 MIN_DETERMINANT = 1e-7
+LOW_PASS = 2.0
 
 
 def rotation_matrices(quats: Tensor) -> Tensor:
@@ -106,4 +107,4 @@ def _intersect(
     scale = (det + shift)[:, None] * safe
     u = torch.where(behind, 1e6, c[..., 0] / scale)
     v = torch.where(behind, 1e6, c[..., 1] / scale)
-    return u, v, P[:, 2:] / safe, 2 * (offset**2).sum(-1)
+    return u, v, P[:, 2:] / safe, LOW_PASS * (offset**2).sum(-1)

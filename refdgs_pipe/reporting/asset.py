@@ -34,7 +34,7 @@ def viewer(facts: Facts, _: Drawing) -> Html:
     content = (folder / "asset.glb").read_bytes()
     note = f"This is asset.glb, {size(len(content))}."
     if len(content) > _MOST_BYTES:
-        smaller = _smaller(_product(facts))
+        smaller = _smaller(product_of(facts))
         if len(smaller) > 1.5 * _MOST_BYTES:
             return tag("p", f"{note} It is too large for this page: open the file.", class_="none")
         note = f"{note} In this page its textures are reduced to {_TEXTURE} px."
@@ -106,7 +106,7 @@ def turntable(facts: Facts, drawing: Drawing) -> Html:
     """The mesh from all round, painted and as triangles."""
     from refdgs_pipe.export.turntable import render_close_up, render_turntable
 
-    made = _product(facts)
+    made = product_of(facts)
     turns = render_turntable(made, count=_FRAMES, side=_FRAME, threads=drawing.threads)
     sized = (_FRAME, _FRAME)
     painted = [image(webp(t.painted), f"from side {i}", sized) for i, t in enumerate(turns, 1)]
@@ -139,14 +139,10 @@ def turntable(facts: Facts, drawing: Drawing) -> Html:
 
 
 def atlas(facts: Facts, _: Drawing) -> Html:
-    """The textures, their charts, and where they are made up."""
+    """The textures and their charts."""
     textured = facts.load(TexturedMesh)
     side = min(_MAP, textured.size)
     charts, picture, used = chart_map(textured.mesh, side)
-    covered = picture[..., 3] > 0
-    step = textured.size // side
-    confidence = textured.confidence[::step, ::step]
-    unseen = float((confidence[covered] == 0).mean()) if covered.any() else 0.0
     shown = (
         ("charts, one colour each", picture),
         ("base colour", _texture(textured.base_color)),
@@ -154,22 +150,12 @@ def atlas(facts: Facts, _: Drawing) -> Html:
         ("metal, white is metal", _texture(textured.metallic)),
         ("ambient occlusion, white is open", _texture(textured.occlusion)),
         ("normal, tangent space", _texture(textured.normal)),
-        ("confidence: red was seen by no camera", _confidence(confidence, covered)),
     )
     pictures = [
         figure(image(webp(pixels), label, (pixels.shape[1], pixels.shape[0])), label)
         for label, pixels in shown
     ]
-    rims, length = open_rims(textured.mesh)
-    holes = "The mesh has no holes."
-    if rims:
-        words = f"{counted(rims, 'open rim')}, {length:.3g} world units long in all"
-        holes = f"The mesh has {words}."
-    words = (
-        f"{textured.size} x {textured.size} texels, {counted(charts, 'chart')} on {used:.0%}. "
-        f"{unseen:.1%} of the texels in charts were seen by no camera; their colours are "
-        f"filled in from beside them. {holes}"
-    )
+    words = f"{textured.size} x {textured.size} texels, {counted(charts, 'chart')} on {used:.0%}."
     return joined(tag("p", words), tag("div", *pictures, class_="tripled"))
 
 
@@ -194,37 +180,11 @@ def chart_map(mesh: UvMesh, side: int) -> tuple[int, U8, float]:
     return count, picture.reshape(side, side, 4), len(texels.index) / side**2
 
 
-def open_rims(mesh: UvMesh) -> tuple[int, float]:
-    """How many loops of edges have a face on one side only, and their length in world units."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
-    points, same = np.unique(mesh.vertices, axis=0, return_inverse=True)
-    welded = same.reshape(-1)[mesh.faces]
-    edges = np.sort(np.stack([welded, np.roll(welded, -1, axis=1)], -1).reshape(-1, 2), axis=1)
-    unique, counts = np.unique(edges, axis=0, return_counts=True)
-    rim = unique[counts == 1]
-    if not len(rim):
-        return 0, 0.0
-    length = float(np.linalg.norm(points[rim[:, 0]] - points[rim[:, 1]], axis=1).sum())
-    links = coo_matrix((np.ones(len(rim)), rim.T), shape=(len(points),) * 2)
-    _, part = connected_components(links, directed=False)
-    return len(np.unique(part[rim[:, 0]])), length
-
-
-def _confidence(values: NDArray[np.uint16], covered: NDArray[np.bool_]) -> U8:
-    """Grey where seen, red where not, nothing between the charts."""
-    grey = (values // 257).astype(np.uint8)
-    picture = np.stack([grey, grey, grey, np.where(covered, 255, 0).astype(np.uint8)], -1)
-    picture[covered & (values == 0), :3] = (214, 48, 49)
-    return picture
-
-
 def _texture(pixels: NDArray[np.uint16]) -> U8:
     return np.asarray(np.asarray(fitted(pixels, _MAP)) // 257, np.uint8)
 
 
-def _product(facts: Facts) -> Product:
+def product_of(facts: Facts) -> Product:
     """The textured mesh with +Y up, in world units: only its shape matters here."""
     up = facts.load(SparseModel).up
     return product(facts.load(TexturedMesh), up=up, metres_per_unit=1.0)

@@ -21,7 +21,7 @@ from refdgs_pipe.reporting.facts import Drawing, Facts, readable
 from refdgs_pipe.reporting.html import Html, joined, tag
 
 NAME = "report.html"
-_LAYOUT = 4  # raised when the page changes, so that older ones are made again
+_LAYOUT = 5  # raised when the page changes, so that older ones are made again
 _POLICY = (  # the browser itself keeps the page from fetching anything
     "default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval' blob:; "
     "style-src 'unsafe-inline'; img-src data: blob:; connect-src data: blob:; "
@@ -65,6 +65,7 @@ SECTIONS = (
     Section("light", "Surroundings", ("views", "surroundings"), (Asset,)),
     Section("mesh", "Mesh", ("asset", "turntable"), (SparseModel, TexturedMesh)),
     Section("atlas", "Atlas", ("asset", "atlas"), (TexturedMesh,)),
+    Section("coverage", "Coverage", ("coverage", "coverage"), (SparseModel, TexturedMesh)),
     Section("scores", "Evaluation", ("records", "scores"), (Scores,)),
     Section("files", "Files and validators", ("records", "files"), (Asset,)),
     Section("stages", "Stages", ("records", "stages")),

@@ -39,6 +39,16 @@ class Cleaned:
     removed: Removed
     rims: list[Rim]
 
+    def figures(self) -> list[tuple[str, float, str]]:
+        """What to tell of it: name, value, unit."""
+        return [
+            ("faces", len(self.mesh.faces), ""),
+            ("floaters removed", self.removed.pieces, ""),
+            ("floaters' share of the area", round(self.removed.area_share, 4), ""),
+            ("open rims", len(self.rims), ""),
+            ("open area", round(sum(r.area for r in self.rims), 4), "square world units"),
+        ]
+
 
 def clean(
     raw: TriangleMesh,

@@ -113,7 +113,7 @@ class Gather:
         height = self.normals @ camera.center.astype(np.float32) - self._offset
         rows = np.flatnonzero((height > 0) & (self.points @ R[2] + t[2] > 0))
         x, y, z = R @ self.points[rows].T + t[:, None]
-        cosine = height[rows] / np.sqrt(x * x + y * y + z * z)
+        cosine = np.minimum(height[rows] / np.sqrt(x * x + y * y + z * z), 1)  # rounding
         K = camera.K.astype(np.float32)
         u, v = x / z * K[0, 0] + K[0, 2], y / z * K[1, 1] + K[1, 2]
         inside = (u > 0.5) & (v > 0.5) & (u < camera.width - 0.5) & (v < camera.height - 0.5)

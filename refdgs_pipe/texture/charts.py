@@ -1,11 +1,9 @@
 """Cutting a surface into flat charts packed in one square atlas."""
 
-import ctypes
-import importlib.util
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +11,11 @@ from numpy.typing import NDArray
 from refdgs_pipe.artifacts.mesh import Mesh, TriangleMesh, UvMesh
 from refdgs_pipe.child import ChildCrashed, ChildTimeout, call_in_child
 from refdgs_pipe.errors import MeshError
+from refdgs_pipe.texture.programs import PROGRAMS, Program, one_by_one_corners
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
+Backend: TypeAlias = Literal["auto", "uvatlas", "xatlas"]
 
 # An atlas is refused when more than this share of its texels is covered twice, when its areas are
 # distorted more than this (Sander's L2 stretch, 1 is perfect), or when charts are torn apart.
@@ -25,7 +25,8 @@ _CHECK_SIZE = 1024
 # On a surface full of holes and handles UVAtlas takes ten times longer as a whole than in parts
 # (20k faces, 520 of them: 76 s and 7 s) and gives hardly fewer charts.
 _MANY_HOLES = 60
-_PARTS = 4
+# An atlas of this worth ends the search: the next program would take longer than it could gain.
+_GOOD = 0.4
 
 
 @dataclass(frozen=True)
@@ -48,13 +49,25 @@ class Layout:
     stretch: float
     mirrored: float
 
+    @property
+    def worth(self) -> float:
+        """The share of the square that an unstretched atlas of the same sharpness would fill."""
+        return self.used / self.stretch**2
+
 
 @dataclass(frozen=True)
 class Unwrapped:
-    """A mesh with charts, the figures of its atlas, and what was tried before it and why not."""
+    """A mesh with charts.
+
+    Args:
+        layout: the figures of its atlas.
+        tried: those of all sound atlases that were made.
+        refused: which programs failed or gave no sound atlas, and why.
+    """
 
     mesh: UvMesh
     layout: Layout
+    tried: tuple[Layout, ...]
     refused: tuple[str, ...]
 
 
@@ -64,19 +77,52 @@ def unwrap(
     gutter: float,
     max_stretch: float,
     timeout_s: float,
+    backend: Backend = "auto",
     stop: threading.Event | None = None,
 ) -> Unwrapped:
-    """Unwrap with the best program that gives a sound atlas in time.
+    """Unwrap with the better program, or the one that is left when the other fails.
+
+    "auto" goes from the fastest program to the slowest and stops at the first atlas that is worth
+    enough; if none is, the one that is worth most is taken. Time itself is not looked at, so that
+    the same mesh always gets the same atlas.
 
     Args:
         gutter: space between charts, as a share of the atlas's side.
         max_stretch: how much UVAtlas may stretch a chart before it cuts, 0 to 1.
         timeout_s: for each program.
+        backend: a program to prefer, whatever its atlas is worth.
 
     Raises:
         MeshError: the mesh has no faces, or vertices that no program could place.
         Cancelled: `stop` was set.
     """
+    _require_sound(mesh)
+    order = sorted(PROGRAMS, key=lambda program: program.backend != backend)
+    if holes_and_handles(mesh) > _MANY_HOLES:
+        order.remove(PROGRAMS[0])
+    best: tuple[Layout, F32] | None = None
+    tried: list[Layout] = []
+    refused: list[str] = []
+    for program in order:
+        try:
+            corners = _run(program, mesh, gutter, max_stretch, timeout_s, stop)
+            layout = measure(program.name, mesh, corners)
+            _require_usable(corners, layout)
+        except (ChildCrashed, ChildTimeout, RuntimeError, MeshError) as error:
+            refused.append(f"{program.name}: {str(error).splitlines()[0]}")
+            continue
+        tried.append(layout)
+        if best is None or layout.worth > best[0].worth:
+            best = layout, corners
+        if backend != "auto" or layout.worth >= _GOOD:
+            break
+    if best is None:
+        corners = unmirrored(one_by_one_corners(len(mesh.faces)))
+        best = measure("face by face", mesh, corners), corners
+    return Unwrapped(seam_split(mesh, best[1]), best[0], tuple(tried), tuple(refused))
+
+
+def _require_sound(mesh: Mesh) -> None:
     if not len(mesh.faces):
         raise MeshError("the mesh has no faces to unwrap: look at the cleaned mesh (clean)")
     lost = np.flatnonzero(~np.isfinite(mesh.vertices).all(1))
@@ -90,33 +136,25 @@ def unwrap(
             f"a face of the mesh names vertex {mesh.faces.max()} of {len(mesh.vertices)}: "
             "repair the adopted mesh, or drop it"
         )
-    shape = {"vertices": mesh.vertices, "faces": mesh.faces, "gutter": gutter}
-    uvatlas = {**shape, "max_stretch": max_stretch}
-    attempts = [
-        ("UVAtlas", "uvatlas_corners", uvatlas | {"partitions": 1}),
-        ("UVAtlas in parts", "uvatlas_corners", uvatlas | {"partitions": _PARTS}),
-        ("xatlas", "xatlas_corners", shape),
-    ]
-    if holes_and_handles(mesh) > _MANY_HOLES:
-        attempts.pop(0)
-    refused: list[str] = []
-    for method, function, arguments in attempts:
-        try:
-            corners = call_in_child(
-                f"refdgs_pipe.texture.charts:{function}", arguments, timeout_s=timeout_s, stop=stop
-            )
-        except (ChildCrashed, ChildTimeout, RuntimeError) as error:
-            refused.append(f"{method}: {str(error).splitlines()[0]}")
-            continue
-        corners = unmirrored(corners)
-        layout = measure(method, mesh, corners)
-        fault = _fault(corners, layout)
-        if fault is None:
-            return Unwrapped(seam_split(mesh, corners), layout, tuple(refused))
-        refused.append(f"{method}: {fault}")
-    corners = unmirrored(one_by_one_corners(len(mesh.faces)))
-    layout = measure("face by face", mesh, corners)
-    return Unwrapped(seam_split(mesh, corners), layout, tuple(refused))
+
+
+def _run(
+    program: Program,
+    mesh: Mesh,
+    gutter: float,
+    max_stretch: float,
+    timeout_s: float,
+    stop: threading.Event | None,
+) -> F32:
+    """(F, 3, 2) what a program gives, in a process of its own."""
+    arguments = {
+        "vertices": mesh.vertices,
+        "faces": mesh.faces,
+        "gutter": gutter,
+        "max_stretch": max_stretch,
+        **program.options,
+    }
+    return unmirrored(call_in_child(program.target, arguments, timeout_s=timeout_s, stop=stop))
 
 
 def holes_and_handles(mesh: TriangleMesh) -> int:
@@ -124,71 +162,6 @@ def holes_and_handles(mesh: TriangleMesh) -> int:
     edges = np.stack([mesh.faces, np.roll(mesh.faces, -1, axis=1)], -1).reshape(-1, 2)
     count = len(np.unique(np.sort(edges, axis=1), axis=0))
     return 2 - (len(np.unique(mesh.faces)) - count + len(mesh.faces))
-
-
-def uvatlas_corners(
-    vertices: F32, faces: NDArray[np.int32], gutter: float, max_stretch: float, partitions: int
-) -> F32:
-    """(F, 3, 2) texture coordinates of every face's corners by Microsoft's UVAtlas.
-
-    Runs in a child process: it crashes on meshes that are not manifold.
-    """
-    _use_same_seeds()
-    import open3d as o3d
-
-    mesh = o3d.t.geometry.TriangleMesh(
-        o3d.core.Tensor.from_numpy(vertices),
-        o3d.core.Tensor.from_numpy(faces.astype(np.int64)),  # parts need 64-bit indices
-    )
-    mesh.compute_uvatlas(
-        size=_CHECK_SIZE,
-        gutter=gutter * _CHECK_SIZE,
-        max_stretch=max_stretch,
-        parallel_partitions=partitions,
-        nthreads=min(partitions, 2),
-    )
-    return np.asarray(mesh.triangle["texture_uvs"].numpy(), np.float32)
-
-
-def _use_same_seeds() -> None:
-    """Let UVAtlas draw the same lots every time; must come before its library is loaded.
-
-    Its only randomness is the seeds that it takes from std::random_device. Where our stand-in for
-    that was not built (not Linux), atlases differ from run to run.
-    """
-    native = importlib.util.find_spec("_refdgs_native")
-    if native is None or native.origin is None:
-        return
-    stand_in = Path(native.origin).parent / "_refdgs_same_seeds.so"
-    if stand_in.is_file():
-        ctypes.CDLL(str(stand_in), mode=ctypes.RTLD_GLOBAL)
-
-
-def xatlas_corners(vertices: F32, faces: NDArray[np.int32], gutter: float) -> F32:
-    """(F, 3, 2) texture coordinates of every face's corners by xatlas."""
-    import xatlas
-
-    atlas = xatlas.Atlas()
-    atlas.add_mesh(vertices, faces.astype(np.uint32))
-    packing = xatlas.PackOptions()
-    packing.resolution = _CHECK_SIZE
-    packing.padding = max(1, round(gutter * _CHECK_SIZE))
-    packing.rotate_charts = False  # turning a chart mirrors it
-    atlas.generate(xatlas.ChartOptions(), packing)
-    _, indices, uv = atlas.get_mesh(0)
-    # Each axis is scaled to its own side of the atlas; a square atlas needs one scale.
-    sides = np.array([atlas.width, atlas.height], np.float32)
-    return np.asarray((uv * sides / sides.max())[indices], np.float32)
-
-
-def one_by_one_corners(count: int) -> F32:
-    """(count, 3, 2): every face alone, two to a cell of a grid. It always works."""
-    side = int(np.ceil(np.sqrt((count + 1) // 2)))
-    cell = np.arange(count) // 2
-    low = np.array([[0.08, 0.08], [0.08, 0.76], [0.76, 0.08]])
-    shapes = np.stack([low, 1 - low])[np.arange(count) % 2]
-    origin = np.stack([cell % side, cell // side], -1)[:, None]
-    return np.asarray((origin + shapes) / side, np.float32)
 
 
 def unmirrored(corners: F32) -> F32:
@@ -234,15 +207,18 @@ def measure(method: str, mesh: TriangleMesh, corners: F32) -> Layout:
     )
 
 
-def _fault(corners: F32, layout: Layout) -> str | None:
-    """Why an atlas cannot be used; None for a good one."""
-    if not np.isfinite(corners).all():
-        return "texture coordinates that are not finite"
+def _require_usable(corners: F32, layout: Layout) -> None:
     faults: list[tuple[bool, Callable[[], str]]] = [
+        (
+            not np.isfinite(corners).all(),
+            lambda: "texture coordinates that are not finite",
+        ),
         (layout.overlap > _MAX_OVERLAP, lambda: f"{layout.overlap:.2%} of the texels overlap"),
         (layout.stretch > _MAX_STRETCH, lambda: f"stretch {layout.stretch:.2f}"),
     ]
-    return next((text() for is_bad, text in faults if is_bad), None)
+    for is_bad, text in faults:
+        if is_bad:
+            raise MeshError(text())
 
 
 def _signed_areas(corners: F32) -> F64:

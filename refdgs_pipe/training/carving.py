@@ -3,6 +3,7 @@
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.ndimage import binary_closing
 from torch import Tensor
 from torch.nn import functional
 
@@ -81,6 +82,35 @@ def empty_cells(
     return empty.reshape(hull.shape).numpy()
 
 
+def needed_by_masks(
+    hull: Bool,
+    left: Bool,
+    ticks: tuple[F64, F64, F64],
+    cameras: list[Camera],
+    masks: list[Tensor],
+) -> Bool:
+    """(nx, ny, nz) cells of the hull without which `left` would not cover the masks.
+
+    Args:
+        left: (nx, ny, nz) what is kept of the hull.
+        ticks, masks: as in `empty_cells`.
+    """
+    grid, needed = _Grid(hull, ticks), np.zeros(hull.size, bool)
+    kept, gone = (torch.from_numpy(np.flatnonzero(c)) for c in (left, hull & ~left))
+    nothing = torch.zeros(3, 1, 1)
+    for camera, mask in zip(cameras, masks, strict=True):
+        view = _View(camera, nothing.expand(3, *mask.shape), mask, grid, footprint=1.0)
+        pixel, _, inside = view.project(grid.points(kept))
+        covered = np.zeros(view.height * view.width, bool)
+        covered[pixel[inside].numpy()] = True
+        padded = np.pad(covered.reshape(view.height, view.width), 3)
+        covered = binary_closing(padded, np.ones((3, 3)))[3:-3, 3:-3].ravel()
+        missing = (view.mask.numpy() > 0.5) & ~covered
+        pixel, _, inside = view.project(grid.points(gone))
+        needed[gone.numpy()[missing[pixel.numpy()] & inside.numpy()]] = True
+    return needed.reshape(hull.shape)
+
+
 class _Grid:
     """Cells by their flat index."""
 
@@ -97,15 +127,23 @@ class _Grid:
 
 
 class _View:
-    """One photo, shrunk until a cell covers FOOTPRINT pixels.
+    """One photo, shrunk until a cell covers `footprint` pixels.
 
-    color (H W, 3), tolerance (H W,): how far a photo of the same spot may differ; clear (H W,).
+    mask (H W,), color (H W, 3), tolerance (H W,): how far a photo of the same spot may differ;
+    clear (H W,).
     """
 
-    def __init__(self, camera: Camera, picture: Tensor, mask: Tensor, grid: _Grid) -> None:
+    def __init__(
+        self,
+        camera: Camera,
+        picture: Tensor,
+        mask: Tensor,
+        grid: _Grid,
+        footprint: float = FOOTPRINT,
+    ) -> None:
         center = np.array([float(t.mean()) for t in grid.ticks])
         distance = float(np.linalg.norm(camera.center - center))
-        scale = min(1.0, FOOTPRINT * distance / (grid.size * float(camera.K[0, 0])))
+        scale = min(1.0, footprint * distance / (grid.size * float(camera.K[0, 0])))
         camera = camera.resized(
             max(8, round(camera.width * scale)), max(8, round(camera.height * scale))
         )
@@ -114,7 +152,8 @@ class _View:
         small = functional.interpolate(
             torch.cat([picture, mask[None]])[None], size, mode="area"
         ).squeeze(0)
-        self.clear = small[3].flatten() > CLEAR
+        self.mask = small[3].flatten()
+        self.clear = self.mask > CLEAR
         self.color = small[:3].permute(1, 2, 0).reshape(-1, 3).contiguous()
         moments = torch.cat([small[:3], small[:3] ** 2])[None]
         moments = functional.avg_pool2d(

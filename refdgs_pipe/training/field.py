@@ -1,6 +1,7 @@
 """The field being trained: its sets, its shader, how they step, grow and are saved."""
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import torch
@@ -40,6 +41,8 @@ class TrainableField:
     Args:
         photos: on the CPU; they are looked at only here.
         device: where the surfels and the shader are.
+        restored: the surfels are about to be replaced by those of a checkpoint.
+        progress: told the steps done and their number while the start is looked for; may raise.
     """
 
     def __init__(
@@ -51,6 +54,8 @@ class TrainableField:
         masked: bool,
         near: float,
         device: str = "cpu",
+        restored: bool = False,
+        progress: Callable[[int, int], None] | None = None,
     ) -> None:
         self.params, self.ball, self.near, self.device = params, model.ball, near, device
         # Without masks nothing but reflections holds a mirror's surface in place from the start.
@@ -66,7 +71,7 @@ class TrainableField:
         rng = np.random.default_rng(params.seed)
         self.rates = self._rates()
         self.faintest = params.prune_opacity
-        self.geometry = self._set(self._geometry(model, photos, masked, rng))
+        self.geometry = self._set(self._geometry(model, photos, masked, rng, restored, progress))
         self.local: TrainableSet | None = None
         self.shader: Shader | None = None
         self.shader_optimizer: list[torch.optim.Adam] = []
@@ -112,10 +117,12 @@ class TrainableField:
         photos: list[TrainingPhoto],
         masked: bool,
         rng: np.random.Generator,
+        restored: bool,
+        progress: Callable[[int, int], None] | None,
     ) -> dict[str, Tensor]:
         p, cloud, opacity = self.params, None, self.params.start_opacity
         if masked and p.start != "ball" and all(photo.mask is not None for photo in photos):
-            cloud = _hull_cloud(p, model, photos, rng)
+            cloud = _hull_cloud(p, model, photos, rng, restored, progress)
             opacity = p.start_opacity if p.start == "volume" else HULL_OPACITY
         if cloud is None or p.start == "volume":
             self.faintest = min(self.faintest, FAINT)
@@ -349,7 +356,12 @@ def _covered_pixels(model: SparseModel, photos: list[TrainingPhoto], *, masked: 
 
 
 def _hull_cloud(
-    p: TrainParams, model: SparseModel, photos: list[TrainingPhoto], rng: np.random.Generator
+    p: TrainParams,
+    model: SparseModel,
+    photos: list[TrainingPhoto],
+    rng: np.random.Generator,
+    restored: bool,
+    progress: Callable[[int, int], None] | None,
 ) -> initial.Cloud | None:
     """Where surfels start within the photos' masks, or None if those have nothing in common."""
     cameras = [photo.camera for photo in photos]
@@ -359,7 +371,15 @@ def _hull_cloud(
         return None
     if p.start == "volume":
         return initial.volume_cloud(hull, p.surfels, rng)
-    if p.start == "carved":
+    if p.start == "carved" and not restored:
         pictures = [photo.rgb.float() / 255 for photo in photos]
-        hull = initial.carved(hull, cameras, pictures, masks)
+        hull = initial.carved(
+            hull,
+            cameras,
+            pictures,
+            masks,
+            volume_steps=p.volume_steps,
+            seed=p.seed,
+            progress=progress,
+        )
     return initial.surface_cloud(hull, p.surfels, rng)

@@ -1,18 +1,20 @@
 """Where surfels start: in the visual hull of the masks, at sparse points, or in the ball."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter
+from scipy.ndimage import binary_fill_holes, uniform_filter
 from scipy.spatial import KDTree
 from torch import Tensor
 
 from refdgs_pipe.artifacts.sparse_model import Ball
 from refdgs_pipe.camera import F64, Camera
-from refdgs_pipe.training.carving import boundary, empty_cells
+from refdgs_pipe.training.carving import boundary, empty_cells, needed_by_masks
+from refdgs_pipe.training.volume import hollow_cells
 
 F32 = NDArray[np.float32]
 
@@ -75,11 +77,38 @@ def visual_hull(ball: Ball, cameras: list[Camera], masks: list[F32]) -> Hull | N
     return Hull(cells.reshape(n, n, n), ticks, ball)
 
 
-def carved(hull: Hull, cameras: list[Camera], pictures: list[Tensor], masks: list[Tensor]) -> Hull:
-    """The hull without the hollows that the photos (3, H, W) show; see `empty_cells`."""
+def carved(
+    hull: Hull,
+    cameras: list[Camera],
+    pictures: list[Tensor],
+    masks: list[Tensor],
+    *,
+    volume_steps: int = 0,
+    seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> Hull:
+    """The hull without the hollows that the photos (3, H, W) show.
+
+    They are found by `empty_cells` and, with `volume_steps`, by `hollow_cells`. What the masks need
+    comes back, and what no hollow reaches is filled.
+    """
     left = hull.cells & ~empty_cells(hull.cells, hull.axes(), cameras, pictures, masks)
     kept, known = (uniform_filter(c.astype(np.float32), 3) for c in (left, hull.cells))
     left = hull.cells & (kept >= 0.5 * known)  # a majority of the neighbours in the hull: no crumbs
+    if volume_steps:
+        left &= ~hollow_cells(
+            hull.cells,
+            hull.ticks,
+            hull.ball.center,
+            cameras,
+            pictures,
+            masks,
+            steps=volume_steps,
+            seed=seed,
+            progress=progress,
+        )
+    left |= needed_by_masks(hull.cells, left, hull.axes(), cameras, masks)
+    left = hull.cells & binary_fill_holes(left)
     return replace(hull, cells=left) if left.sum() >= 50 else hull
 
 

@@ -169,3 +169,10 @@ class TrainParams(Params):
         description="where surfels start when there are masks: on their visual hull, throughout "
         "it, on it and in the hollows that photos agree on, or throughout the object ball",
     )
+    volume_steps: int = Field(
+        400,
+        ge=0,
+        le=100_000,
+        description="steps of fitting a coarse volume that shows more hollows, where surfels start "
+        "carved; 0: none",
+    )

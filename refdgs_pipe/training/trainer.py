@@ -53,6 +53,7 @@ class Trainer:
         device: where the steps are computed, "cpu" or "cuda"; results are on the CPU.
         photos: those of the views, if they are in memory already.
         warn: told what does not go as it should and does not end the run.
+        starting: told the steps done and their number while the start is looked for; may raise.
     """
 
     def __init__(
@@ -65,6 +66,7 @@ class Trainer:
         device: str = "cpu",
         photos: list[TrainingPhoto] | None = None,
         warn: Callable[[str], None] | None = None,
+        starting: Callable[[int, int], None] | None = None,
     ) -> None:
         keep_freed_memory()
         self.params, self.model, self.scratch, self.device = params, model, scratch, device
@@ -78,7 +80,14 @@ class Trainer:
         torch.manual_seed(params.seed)
         self.masked = views.background != "photo"
         self.field = TrainableField(
-            params, model, photos, masked=self.masked, near=self.near, device=device
+            params,
+            model,
+            photos,
+            masked=self.masked,
+            near=self.near,
+            device=device,
+            restored=read_checkpoint(scratch) is not None,
+            progress=starting,
         )
         if params.patience > 0:
             photos = hold_out(photos, params.seed)

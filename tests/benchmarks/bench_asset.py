@@ -13,8 +13,9 @@ from scenes import Scene, Sphere, gradient_sky, orbit, waves
 from solids import sphere
 
 from refdgs_pipe.artifacts.mesh import Mesh
-from refdgs_pipe.texture import charts
+from refdgs_pipe.texture import charts, programs
 from refdgs_pipe.texture.material import Painter
+from refdgs_pipe.texture.programs import PROGRAMS, Program
 
 pytestmark = pytest.mark.benchmark
 FACES, VIEWS, SIZE = 50_000, 100, 1024
@@ -33,17 +34,14 @@ def told(name: str, begin: float) -> None:
     print(f"\n{name}: {time.process_time() - begin:.1f} core-s, peak {peak:.2f} GB")
 
 
-@pytest.mark.parametrize("program", ["UVAtlas", "UVAtlas in parts", "xatlas"])
-def test_unwrap(program: str) -> None:
+@pytest.mark.parametrize("program", PROGRAMS, ids=lambda program: program.name)
+def test_unwrap(program: Program) -> None:
     mesh = body()
+    function = getattr(programs, program.target.partition(":")[2])
     begin = time.process_time()
-    if program == "xatlas":
-        corners = charts.xatlas_corners(mesh.vertices, mesh.faces, 4 / 1024)
-    else:
-        parts = 1 if program == "UVAtlas" else 4
-        corners = charts.uvatlas_corners(mesh.vertices, mesh.faces, 4 / 1024, 0.1667, parts)
-    told(f"{program}, {len(mesh.faces)} faces", begin)
-    layout = charts.measure(program, mesh, charts.unmirrored(corners))
+    corners = function(mesh.vertices, mesh.faces, 4 / 1024, 0.1667, **program.options)
+    told(f"{program.name}, {len(mesh.faces)} faces", begin)
+    layout = charts.measure(program.name, mesh, charts.unmirrored(corners))
     print(f"charts {layout.charts}, used {layout.used:.3f}, stretch {layout.stretch:.3f}")
 
 
@@ -51,10 +49,13 @@ def test_bake() -> None:
     mesh = body()
     cut = charts.unwrap(mesh, gutter=4 / 1024, max_stretch=0.1667, timeout_s=600).mesh
     scene = Scene((Sphere((0, 0, 0), 1.0, waves),), gradient_sky)
-    maps = [scene.surface_map(camera) for camera in orbit(VIEWS, size=640, focal=900)]
-    begin = time.process_time()
+    begin, drawing = time.process_time(), 0.0
     painter = Painter(cut, SIZE, tolerance=0.1)
-    for view in maps:
+    for camera in orbit(VIEWS, size=640, focal=900):
+        start = time.process_time()
+        view = scene.surface_map(camera)
+        drawing += time.process_time() - start
         painter.add(view)
     painter.paint(appearance(mesh.vertices))
-    told(f"bake, {SIZE} texels, {VIEWS} views of 640 px, {len(mesh.faces)} faces", begin)
+    name = f"bake, {SIZE} texels, {VIEWS} views of 640 px, {len(mesh.faces)} faces"
+    told(name, begin + drawing)

@@ -1,4 +1,8 @@
-"""Run by Blender's Python: import a file and print as JSON what arrived. FILE [DIRECTION]
+"""Run by Blender's Python: import a file and print as JSON what arrived.
+
+Arguments: FILE, or FILE "frames", or FILE DIRECTION...
+
+With "frames" the tangents that Blender itself makes of the mesh (MikkTSpace) are printed too.
 
 With a direction (x y z, of the asset: +Y up) a camera in the origin looks there, and the light that
 it sees is printed too.
@@ -50,6 +54,21 @@ def described() -> dict[str, Any]:
     }
 
 
+def frames() -> list[list[float]]:
+    """For each corner of a face: vertex, its place, tangent, sign of the bitangent."""
+    (mesh,) = [thing.data for thing in bpy.data.objects if thing.type == "MESH"]
+    mesh.calc_tangents()
+    return [
+        [
+            corner.vertex_index,
+            *mesh.vertices[corner.vertex_index].co,
+            *corner.tangent,
+            corner.bitangent_sign,
+        ]
+        for corner in mesh.loops
+    ]
+
+
 def light_from(direction: tuple[float, float, float]) -> float:
     """Mean linear radiance that a camera in the origin sees there, the mesh left out."""
     x, y, z = direction
@@ -80,7 +99,9 @@ if __name__ == "__main__":
     names = sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else sys.argv[1:]
     load(Path(names[0]))
     record = described()
-    if len(names) > 1:
+    if names[1:] == ["frames"]:
+        record["frames"] = frames()
+    elif len(names) > 1:
         sides = [tuple(float(x) for x in name.split(",")) for name in names[1:]]
         record["light"] = [light_from(side) for side in sides]  # type: ignore[arg-type]
     print("\nRECORD", json.dumps(record))

@@ -4,6 +4,7 @@ import json
 import os
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +13,14 @@ import numpy as np
 import pytest
 from painted import textured
 from scenes import orbit
+from solids import sphere
 
-from refdgs_pipe.export.files import Surroundings, writers
+from refdgs_pipe.artifacts.mesh import Mesh
+from refdgs_pipe.export.files import Surroundings, glb, writers
 from refdgs_pipe.export.frame import AssetFrame, latlong_directions
 from refdgs_pipe.export.product import product
+from refdgs_pipe.texture.charts import unwrap
+from refdgs_pipe.texture.tangents import mikktspace
 
 pytestmark = pytest.mark.dcc
 UP = np.array([0.0, 0.0, 1.0])
@@ -68,6 +73,25 @@ def test_blender_gets_one_mesh_upright_in_metres_with_its_textures(name: str, fo
     spaces = found["spaces"]
     assert spaces.pop("base_color") == "sRGB"
     assert spaces and set(spaces.values()) == {"Non-Color"}
+
+
+def test_blender_makes_the_tangents_that_the_normal_map_was_baked_with(tmp_path: Path) -> None:
+    """It does not read TANGENT but makes its own, of normals and texture coordinates."""
+    solid = sphere(16)
+    shaped = solid.vertices * (1 + 0.15 * np.sin(4 * solid.vertices).prod(1, keepdims=True))
+    whole = Mesh(shaped.astype(np.float32), solid.faces)
+    mesh = unwrap(whole, gutter=4 / 64, max_stretch=0.1667, timeout_s=60).mesh
+    plain = textured(64)
+    made = product(replace(plain, mesh=mesh, tangents=mikktspace(mesh)), up=UP, metres_per_unit=1.0)
+    glb(tmp_path, made)
+    found = np.array(look(tmp_path / "asset.glb", "frames")["frames"])
+    vertex = found[:, 0].astype(int)
+    y_up = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])  # Blender has z up
+    np.testing.assert_allclose(found[:, 1:4] @ y_up, made.vertices[vertex], atol=1e-5)
+    cosine = ((found[:, 4:7] @ y_up) * made.tangents[vertex, :3]).sum(1)
+    angle = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+    assert np.quantile(angle, 0.99) < 0.5 and angle.max() < 5, (angle.mean(), angle.max())
+    np.testing.assert_array_equal(found[:, 7], made.tangents[vertex, 3])
 
 
 def test_blender_reads_the_obj(folder: Path) -> None:

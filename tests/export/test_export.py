@@ -7,6 +7,7 @@ import subprocess
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from painted import textured
@@ -26,11 +27,19 @@ from refdgs_pipe.export.frame import AssetFrame
 from refdgs_pipe.export.preview import render_preview
 from refdgs_pipe.export.product import Product, product, scale_of
 from refdgs_pipe.export.splats import in_asset_frame, write_particle_field, write_splats
-from refdgs_pipe.export.turntable import render_close_up, render_turntable
+from refdgs_pipe.export.turntable import (
+    INSIDE,
+    MUCH,
+    UNSEEN,
+    render_close_up,
+    render_coverage,
+    render_turntable,
+)
 from refdgs_pipe.export.usd import write_usdz
 from refdgs_pipe.export.validate import glb_faults, require, usd_faults
 from refdgs_pipe.files.ply import read_ply
-from refdgs_pipe.texture.charts import one_by_one_corners, seam_split
+from refdgs_pipe.texture.charts import seam_split
+from refdgs_pipe.texture.programs import one_by_one_corners
 
 VALIDATOR = Path(__file__).parent / "validate_gltf.js"
 FRAME = AssetFrame.of(np.array([0.0, 0.0, 1.0]), 0.1)
@@ -260,6 +269,41 @@ def test_surflets_in_usd_say_what_the_ply_says(tmp_path: Path) -> None:
     np.testing.assert_allclose(read, some.quats[0], atol=1e-7)
     shown = values("radiance:sphericalHarmonicsCoefficients") * 0.28209479 + 0.5
     np.testing.assert_allclose(linear_from_srgb(shown), some.values["diffuse"], atol=1e-4)
+
+
+def test_what_photos_saw_is_a_grey_picture_beside_the_textures(tmp_path: Path) -> None:
+    mesh = textured(64)
+    mesh.confidence[:32] = 0
+    mesh.confidence[40] = 1  # seen, if hardly: not the zero of what nobody saw
+    made = product(mesh, up=np.array([0.0, 0.0, 1.0]), metres_per_unit=0.1)
+    files.textures(tmp_path, made)
+    found = cv2.imread(str(tmp_path / "textures" / "confidence.png"), cv2.IMREAD_UNCHANGED)
+    assert found.dtype == np.uint8 and found.shape == (64, 64)
+    np.testing.assert_array_equal(found == 0, mesh.confidence == 0)
+    assert (found[40] == 1).all() and (found[41:] == 255).all()
+    files.glb(tmp_path, made)
+    assert b"confidence" not in (tmp_path / "asset.glb").read_bytes()
+
+
+def test_coverage_shows_what_no_photo_saw_and_the_inside_behind_a_hole() -> None:
+    mesh = textured(64)
+    made = product(mesh, up=np.array([0.0, 0.0, 1.0]), metres_per_unit=0.1)
+
+    def shares(shown: Product) -> list[float]:
+        pixels = render_coverage(shown, count=1, side=64)[0]
+        color = pixels[pixels[..., 3] == 255][:, :3].astype(float)
+        hue = color / np.linalg.norm(color, axis=1, keepdims=True)
+        known = np.stack([MUCH, UNSEEN, INSIDE])
+        known /= np.linalg.norm(known, axis=1, keepdims=True)
+        return [float(share) for share in np.bincount((hue @ known.T).argmax(1), minlength=3)]
+
+    whole = shares(made)
+    assert whole[1:] == [0, 0]
+    unseen = np.zeros_like(made.confidence)
+    assert shares(replace(made, confidence=unseen))[1] == whole[0]
+    front = made.vertices[made.faces].mean(1)[:, 2] > 0.05
+    holed = shares(replace(made, faces=made.faces[~front]))
+    assert holed[2] > 0.3 * whole[0] and holed[0] > 0
 
 
 def test_a_textured_mesh_survives_the_round_trip(tmp_path: Path) -> None:

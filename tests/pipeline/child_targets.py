@@ -30,8 +30,16 @@ def abort() -> None:
     os.abort()
 
 
-def kill_self() -> None:
+def kill_self(**_: Any) -> None:
     os.kill(os.getpid(), signal.SIGKILL)
+
+
+def segfault(**_: Any) -> None:
+    ctypes.string_at(0)
+
+
+def hang(**_: Any) -> None:
+    time.sleep(600)
 
 
 def sleep(seconds: float, progress: Callable[[str, int, int | None], None]) -> None:

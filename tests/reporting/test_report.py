@@ -108,7 +108,8 @@ def test_a_finished_workspace_fills_every_section(text: str) -> None:
     assert body_of(text, "training").count("<polyline") == 2
     assert body_of(text, "views").count("<img") == 4  # one view was held out: photo, render, relit
     assert body_of(text, "maps").count("<img") == 4
-    assert body_of(text, "atlas").count("<img") == 7
+    assert body_of(text, "atlas").count("<img") == 6
+    assert body_of(text, "coverage").count("<img") == 5
     assert "20.00 dB" in body_of(text, "scores")
     assert body_of(text, "files").count('<b class="ok">ok</b>') > 8
 

@@ -3,68 +3,24 @@
 import json
 from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 import finished
 import numpy as np
 import pytest
 import truth
+from scenes import Box, glossy_pair, gradient_sky, orbit, waves
 from scenes import Scene as Procedural
-from scenes import glossy_pair, gradient_sky, orbit, waves
+from stage_runs import FIELD, Run, model_of, show
 
 from refdgs_pipe.artifacts.asset import Asset
 from refdgs_pipe.artifacts.mesh import Mesh, RawMesh, UvMesh
-from refdgs_pipe.artifacts.sparse_model import Ball, SparseModel
+from refdgs_pipe.artifacts.sparse_model import Ball
 from refdgs_pipe.artifacts.surface_map import SurfaceMap
 from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
 from refdgs_pipe.artifacts.views import Views
-from refdgs_pipe.camera import Camera
 from refdgs_pipe.color import linear_from_srgb
 from refdgs_pipe.errors import MeshError
-from refdgs_pipe.pipeline.events import Event, Measured, Warned
-from refdgs_pipe.pipeline.stage import Job
 from refdgs_pipe.texture.texels import rasterize
-
-FIELD = finished.field()
-
-
-class Run:
-    """Runs stages with given maps in place of a trained field."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder, self.events = folder, list[Event]()
-
-    def __call__(self, name: str, *inputs: object, **settings: object) -> Any:
-        stage = getattr(import_module(f"refdgs_pipe.stages.{name}"), name)
-        out, scratch = self.folder / name, self.folder / "scratch"
-        for path in (out, scratch):
-            path.mkdir(exist_ok=True)
-        job = Job(name, out, scratch, "cpu", 2, self.events.append)
-        artifact = stage.run(*inputs, stage.params(**settings), job)
-        artifact.save(out)
-        return stage.output.load(out)
-
-    def measured(self, stage: str) -> dict[str, Any]:
-        found = [e for e in self.events if isinstance(e, Measured) and e.stage == stage]
-        return {e.name: e.value for e in found}
-
-    def warnings(self) -> list[str]:
-        return [e.text for e in self.events if isinstance(e, Warned)]
-
-
-def model_of(cameras: list[Camera], ball: Ball) -> SparseModel:
-    return SparseModel(
-        cameras=tuple(cameras),
-        lenses={},
-        points=np.empty((0, 3)),
-        point_colors=np.empty((0, 3), np.uint8),
-        tracks={},
-        ball=ball,
-        up=np.array([0.0, 0.0, 1.0]),
-        sfm_from_world=np.eye(4),
-        metres_per_unit=None,
-        lost=(),
-    )
 
 
 @pytest.fixture
@@ -74,13 +30,6 @@ def run(tmp_path: Path) -> Run:
 
 def photos(run: Run) -> Views:
     return finished.views(run.folder / "photos")
-
-
-def show(monkeypatch: pytest.MonkeyPatch, view: Any) -> None:
-    """Let `view(camera)` stand for the renders of a field."""
-    monkeypatch.setattr(
-        "refdgs_pipe.training.render.render_surface_map", lambda field, camera, **_: view(camera)
-    )
 
 
 def test_a_procedural_scene_becomes_files(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -135,6 +84,37 @@ def test_what_the_user_should_know_is_said(run: Run, monkeypatch: pytest.MonkeyP
     (seen,) = run.warnings()
     assert "was seen by no camera" in seen
     assert "export.longest" in run.measured("export")["scale"]
+
+
+def test_the_table_is_kept_or_not_as_asked(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    board = Box((-1.0, -1.0, -0.6), (1.0, 1.0, -0.5), waves)
+    crate = Box((-0.3, -0.2, -0.5), (0.3, 0.2, 0.3), waves)
+    show(monkeypatch, Procedural((board, crate), gradient_sky).surface_map)
+    above = [c for c in orbit(30) if c.center[2] > 0.5]
+    model = model_of(above, Ball(np.zeros(3), 1.0))
+    raw = run("extract", FIELD, model, voxel=0.012)
+    everything = run("clean", raw, FIELD, model, outlines=0)
+    crate_only = run("clean", raw, FIELD, model, faces=4000, keep="object")
+    assert run.warnings() == [] and run.measured("clean")["support's share of the area"] > 0.3
+    assert crate_only.vertices[:, 2].min() == pytest.approx(-0.5, abs=0.01)
+    assert np.abs(crate_only.vertices[:, :2]).max() < 0.4
+    over_foot = crate_only.vertices[crate_only.vertices[:, 2] > -0.4]  # fusion rounds the foot
+    np.testing.assert_allclose(over_foot.max(0), (0.3, 0.2, 0.3), atol=0.03)
+    assert np.ptp(everything.vertices[:, 0]) > 1.5
+
+
+def test_a_missing_table_is_said_and_everything_stays(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    show(monkeypatch, glossy_pair().surface_map)
+    model = model_of(orbit(24), Ball(np.zeros(3), 1.2))
+    raw = run("extract", FIELD, model, voxel=0.02)
+    mesh = run("clean", raw, FIELD, model, keep="object", outlines=0)
+    (said,) = run.warnings()
+    assert "found no level surface" in said and "sfm.up" in said
+    np.testing.assert_array_equal(
+        mesh.vertices, run("clean", raw, FIELD, model, outlines=0).vertices
+    )
 
 
 def test_an_empty_field_stops_at_extract(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -201,3 +201,16 @@ def test_normals_that_views_disagree_on_give_way_to_the_meshs(views: list[Surfac
     index, _ = texel_points(textured.mesh, 256)
     normal = textured.normal.reshape(-1, 3)[index] / 65535 * 2 - 1
     assert np.degrees(np.arccos(np.clip(normal[:, 2], -1, 1))).mean() < 2
+
+
+def test_points_that_face_the_eye_squarely_are_seen(views: list[SurfaceMap]) -> None:
+    view = views[0]
+    camera = view.camera
+    rays = camera.pixel_rays() @ camera.cam_from_world[:3, :3]
+    here = np.zeros_like(view.depth, bool)
+    here[70:130, 70:130] = True  # the middle of the ball
+    points = camera.center + rays[here] * view.depth[here][:, None]
+    normals = -rays[here] / np.linalg.norm(rays[here], axis=1, keepdims=True)
+    gather = Gather(points.astype(np.float32), normals.astype(np.float32), tolerance=0.01)
+    with np.errstate(invalid="raise"):
+        assert gather.add(view) == here.sum()

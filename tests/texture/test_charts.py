@@ -2,15 +2,17 @@
 
 import sys
 from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
-from solids import joined, sphere
+from solids import sphere, touching_pieces, turned_face, two_pieces, with_fin, with_flat_face
 
 from refdgs_pipe.artifacts.mesh import Mesh, TriangleMesh
-from refdgs_pipe.child import ChildCrashed, ChildTimeout, call_in_child
 from refdgs_pipe.errors import MeshError
 from refdgs_pipe.texture import charts
+from refdgs_pipe.texture.programs import Program
 
 
 def ball() -> Mesh:
@@ -34,37 +36,99 @@ def test_uvatlas_unwraps_a_sphere_with_little_stretch() -> None:
     mesh = ball()
     result = charts.unwrap(mesh, gutter=4 / 1024, max_stretch=0.1667, timeout_s=60)
     check(result, mesh)
-    assert result.layout.method == "UVAtlas" and result.refused == ()
-    assert result.layout.charts < 20 and result.layout.used > 0.35
+    assert result.layout.method.startswith("UVAtlas") and result.refused == ()
+    assert result.layout.charts < 20 and result.layout.worth > 0.4
     assert result.layout.stretch < 1.3
 
 
-def test_xatlas_steps_in_when_uvatlas_crashes(monkeypatch: pytest.MonkeyPatch) -> None:
-    call = charts.call_in_child
+@pytest.fixture
+def broken(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Lets the named backends run a function of child_targets in the programs' place."""
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "pipeline"))
 
-    def failing(target: str, *args: object, **options: object) -> object:
-        if "uvatlas" in target:
-            raise ChildCrashed(f"{target} crashed (SIGSEGV)")
-        return call(target, *args, **options)  # type: ignore[arg-type]
+    def spoil(way: str, *backends: str) -> None:
+        spoilt = tuple(
+            replace(p, target=f"child_targets:{way}") if p.backend in backends else p
+            for p in charts.PROGRAMS
+        )
+        monkeypatch.setattr(charts, "PROGRAMS", spoilt)
 
-    monkeypatch.setattr(charts, "call_in_child", failing)
+    return spoil
+
+
+@pytest.mark.parametrize(
+    ("backend", "way", "told"),
+    [
+        ("uvatlas", "segfault", "SIGSEGV"),
+        ("uvatlas", "kill_self", "SIGKILL"),
+        ("xatlas", "segfault", "SIGSEGV"),
+        ("xatlas", "kill_self", "SIGKILL"),
+        ("xatlas", "hang", "did not finish in 15 s"),
+    ],
+)
+def test_the_other_program_steps_in_when_one_dies(
+    broken: Callable[..., None], backend: charts.Backend, way: str, told: str
+) -> None:
+    broken(way, backend)
+    mesh = ball()
+    timeout = 15 if way == "hang" else 60
+    result = charts.unwrap(
+        mesh, gutter=4 / 1024, max_stretch=0.1667, timeout_s=timeout, backend=backend
+    )
+    check(result, mesh)
+    other = {"uvatlas": "xatlas", "xatlas": "UVAtlas"}[backend]
+    assert result.layout.method == other and result.tried == (result.layout,)
+    assert len(result.refused) == {"uvatlas": 2, "xatlas": 1}[backend]
+    assert all(told in reason for reason in result.refused)
+
+
+def test_face_by_face_is_the_last_resort(broken: Callable[..., None]) -> None:
+    broken("segfault", "uvatlas", "xatlas")
     mesh = ball()
     result = charts.unwrap(mesh, gutter=4 / 1024, max_stretch=0.1667, timeout_s=60)
-    check(result, mesh)
-    assert result.layout.method == "xatlas" and len(result.refused) == 2
-    assert "SIGSEGV" in result.refused[0]
-
-
-def test_face_by_face_is_the_last_resort(monkeypatch: pytest.MonkeyPatch) -> None:
-    def late(target: str, *args: object, **options: object) -> object:
-        raise ChildTimeout(f"{target} did not finish in 1 s and was stopped")
-
-    monkeypatch.setattr(charts, "call_in_child", late)
-    mesh = ball()
-    result = charts.unwrap(mesh, gutter=4 / 1024, max_stretch=0.1667, timeout_s=1)
     assert result.layout.method == "face by face" and len(result.refused) == 3
     assert result.layout.overlap == 0 and result.mesh.uv.max() <= 1
     assert len(result.mesh.vertices) == 3 * len(mesh.faces)
+
+
+@pytest.mark.parametrize(("backend", "method"), [("uvatlas", "UVAtlas"), ("xatlas", "xatlas")])
+def test_a_preferred_program_is_taken_whatever_its_atlas_is_worth(
+    monkeypatch: pytest.MonkeyPatch, backend: charts.Backend, method: str
+) -> None:
+    monkeypatch.setattr(charts, "_GOOD", 2.0)
+    mesh = ball()
+    result = charts.unwrap(mesh, gutter=4 / 1024, max_stretch=0.1667, timeout_s=60, backend=backend)
+    check(result, mesh)
+    assert result.layout.method == method and result.tried == (result.layout,)
+
+
+def test_of_several_atlases_the_one_that_is_worth_most_is_taken(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(charts, "_GOOD", 2.0)
+    result = charts.unwrap(ball(), gutter=4 / 1024, max_stretch=0.1667, timeout_s=60)
+    assert [one.method for one in result.tried] == ["UVAtlas", "UVAtlas in parts", "xatlas"]
+    assert result.layout.worth == max(one.worth for one in result.tried)
+    assert charts.measure("", ball(), result.mesh.uv[result.mesh.faces]).worth == pytest.approx(
+        result.layout.worth, rel=1e-3
+    )
+
+
+def test_worth_falls_with_stretch_and_with_emptiness() -> None:
+    square = TriangleMesh(
+        np.array([[0, 0, 0], [0, 1, 0], [1, 0, 0], [1, 1, 0]], np.float32),
+        np.array([[0, 2, 1], [1, 2, 3]], np.int32),
+    )
+    uv = square.vertices[:, :2] * [1, -1] + [0, 1]
+
+    def worth(scale: tuple[float, float]) -> float:
+        corners = (uv * scale)[square.faces].astype(np.float32)
+        return charts.measure("test", square, corners).worth
+
+    assert worth((1, 1)) == pytest.approx(1, abs=0.01)
+    assert worth((0.5, 0.5)) == pytest.approx(0.25, abs=0.01)
+    # Half as wide as high: as sharp as an even atlas of 2 / 5 of the square.
+    assert worth((0.5, 1)) == pytest.approx(0.4, abs=0.01)
 
 
 def test_overlapping_charts_are_refused() -> None:
@@ -106,48 +170,21 @@ def test_a_mesh_full_of_holes_is_unwrapped_in_parts() -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="UVAtlas draws lots elsewhere")
-@pytest.mark.parametrize("partitions", [1, 4])
-def test_an_atlas_is_the_same_every_time(partitions: int) -> None:
+@pytest.mark.parametrize("program", charts.PROGRAMS, ids=lambda program: program.name)
+def test_an_atlas_is_the_same_every_time(program: Program) -> None:
     mesh = ball()
-    made = [
-        call_in_child(
-            "refdgs_pipe.texture.charts:uvatlas_corners",
-            {
-                "vertices": mesh.vertices,
-                "faces": mesh.faces,
-                "gutter": 4 / 1024,
-                "max_stretch": 0.1667,
-                "partitions": partitions,
-            },
-            timeout_s=120,
-        )
-        for _ in range(2)
-    ]
+    made = [charts._run(program, mesh, 4 / 1024, 0.1667, 120, None) for _ in range(2)]
     np.testing.assert_array_equal(*made)
 
 
-def with_fin(mesh: TriangleMesh) -> Mesh:
-    """A third face on an edge."""
-    tip = mesh.vertices[mesh.faces[100, :1]] * np.float32(1.5)
-    fin = np.array([[*mesh.faces[100, :2], len(mesh.vertices)]], np.int32)
-    return Mesh(np.concatenate([mesh.vertices, tip]), np.concatenate([mesh.faces, fin]))
-
-
-def with_flat_face(mesh: TriangleMesh) -> Mesh:
-    a, b, _ = mesh.faces[50]
-    return Mesh(mesh.vertices, np.concatenate([mesh.faces, np.array([[a, b, b]], np.int32)]))
-
-
-def two_pieces(mesh: TriangleMesh) -> Mesh:
-    both = joined(mesh, TriangleMesh(mesh.vertices * 0.3 + np.float32(3), mesh.faces))
-    return Mesh(both.vertices, both.faces)
-
-
-@pytest.mark.parametrize("spoilt", [with_fin, with_flat_face, two_pieces])
+@pytest.mark.parametrize(
+    "spoilt", [with_fin, with_flat_face, two_pieces, touching_pieces, turned_face]
+)
 def test_a_bad_mesh_still_gets_an_atlas_from_some_program(
-    spoilt: Callable[[TriangleMesh], Mesh],
+    spoilt: Callable[[TriangleMesh], TriangleMesh],
 ) -> None:
-    mesh = spoilt(sphere(16))
+    solid = spoilt(sphere(16))
+    mesh = Mesh(solid.vertices, solid.faces)
     result = charts.unwrap(mesh, gutter=4 / 1024, max_stretch=0.1667, timeout_s=60)
     assert result.layout.overlap < 0.002 and np.isfinite(result.mesh.uv).all()
     corners = result.mesh.vertices[result.mesh.faces]

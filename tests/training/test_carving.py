@@ -1,4 +1,4 @@
-"""Hollows open where photos agree on what lies behind, and nowhere else."""
+"""Hollows open where photos agree on what lies behind or a volume shows them, and nowhere else."""
 
 import numpy as np
 import pytest
@@ -7,8 +7,10 @@ from scenes import Box, Scene, Sphere, constant, gradient_sky, orbit, waves
 
 from refdgs_pipe.artifacts.sparse_model import Ball
 from refdgs_pipe.camera import Camera
+from refdgs_pipe.errors import Cancelled
 from refdgs_pipe.training import initial
-from refdgs_pipe.training.carving import boundary, empty_cells
+from refdgs_pipe.training.carving import boundary, empty_cells, needed_by_masks
+from refdgs_pipe.training.volume import hollow_cells
 
 THICK, HALF, DEPTH = 0.15, 0.7, 0.5
 
@@ -27,13 +29,13 @@ def open_box() -> Scene:
 
 
 def hull_of(
-    scene: Scene, pictures: str = "true"
+    scene: Scene, pictures: str = "true", cells: int = 96
 ) -> tuple[initial.Hull, list[torch.Tensor], list[torch.Tensor], list[Camera]]:
     """The scene's visual hull and its photos; "noise": photos that agree on nothing."""
     cameras = [c for c in orbit(90, size=128, focal=170) if c.center[2] > -1]
     maps = [scene.surface_map(camera) for camera in cameras]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(initial, "HULL_CELLS", 96)
+        patch.setattr(initial, "HULL_CELLS", cells)
         hull = initial.visual_hull(Ball(np.zeros(3), 1.3), cameras, [m.alpha for m in maps])
     assert hull is not None
     rng = torch.Generator().manual_seed(0)
@@ -90,3 +92,76 @@ def test_the_boundary_of_a_cube_is_its_outer_layer() -> None:
     cells[1:6, 1:6, 1:6] = True
     assert boundary(cells).sum() == 5**3 - 3**3
     assert boundary(np.ones((3, 3, 3), bool)).sum() == 26
+
+
+def test_the_volume_shows_the_pit_of_an_open_box_and_keeps_its_walls() -> None:
+    hull, colors, masks, cameras = hull_of(open_box(), cells=48)
+    empty = hollow_cells(
+        hull.cells, hull.ticks, hull.ball.center, cameras, colors, masks, steps=200, seed=0
+    )
+    x, y, z = np.meshgrid(*hull.axes(), indexing="ij")
+    sideways, margin = np.maximum(np.abs(x), np.abs(y)), 1.5 * hull.cell
+    pit = (sideways < HALF - THICK - margin) & (z > -DEPTH / 2 + margin) & hull.cells
+    solid = hull.cells & ((sideways > HALF - THICK + margin) | (z < -DEPTH / 2 - margin))
+    inner = solid & (sideways < HALF - margin)
+    assert empty[pit].mean() > 0.6
+    assert empty[inner].mean() < 0.03
+    assert not (empty & ~hull.cells).any()
+
+
+def test_photos_that_agree_on_nothing_show_the_volume_no_hollows() -> None:
+    hull, colors, masks, cameras = hull_of(open_box(), "noise", cells=48)
+    empty = hollow_cells(
+        hull.cells, hull.ticks, hull.ball.center, cameras, colors, masks, steps=60, seed=0
+    )
+    assert empty[hull.cells].mean() < 0.02
+
+
+def test_the_search_can_be_stopped_and_tells_its_progress() -> None:
+    hull, colors, masks, cameras = hull_of(open_box(), cells=48)
+    told = []
+
+    def progress(done: int, total: int) -> None:
+        told.append((done, total))
+        if done == 20:
+            raise Cancelled("stopped")
+
+    with pytest.raises(Cancelled):
+        hollow_cells(
+            hull.cells,
+            hull.ticks,
+            hull.ball.center,
+            cameras,
+            colors,
+            masks,
+            steps=40,
+            seed=0,
+            progress=progress,
+        )
+    assert told == [(10, 40), (20, 40)]
+
+
+def test_what_the_masks_need_comes_back() -> None:
+    hull, _, masks, cameras = hull_of(open_box(), cells=48)
+    x, _, z = np.meshgrid(*hull.axes(), indexing="ij")
+    corner = hull.cells & (x > HALF - 0.2) & (z > 0)  # seen against the background
+    left = hull.cells & ~corner
+    needed = needed_by_masks(hull.cells, left, hull.axes(), cameras, masks)
+    assert not (needed & ~corner).any()
+    assert needed[corner].mean() > 0.5
+    again = needed_by_masks(hull.cells, left | needed, hull.axes(), cameras, masks)
+    assert again.sum() < 0.02 * corner.sum()
+
+
+def test_holes_that_nothing_reaches_are_filled(monkeypatch: pytest.MonkeyPatch) -> None:
+    hull, colors, masks, cameras = hull_of(open_box(), cells=48)
+    x, y, z = np.meshgrid(*hull.axes(), indexing="ij")
+    bubble = (x - HALF) ** 2 + y**2 + (z + DEPTH / 2) ** 2 < 0.05**2
+    bubble &= x < HALF - hull.cell * 1.5
+
+    def found(cells: np.ndarray, *_: object) -> np.ndarray:
+        return cells & bubble
+
+    monkeypatch.setattr(initial, "empty_cells", found)
+    kept = initial.carved(hull, cameras, [torch.as_tensor(c) for c in colors], masks)
+    np.testing.assert_array_equal(kept.cells, hull.cells)

@@ -1,0 +1,91 @@
+"""What photos saw of the surface, and where it has holes."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from refdgs_pipe.artifacts.mesh import UvMesh
+from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
+from refdgs_pipe.export.turntable import INSIDE, LITTLE, MUCH, UNSEEN, render_coverage
+from refdgs_pipe.reporting.asset import product_of
+from refdgs_pipe.reporting.facts import Drawing, Facts
+from refdgs_pipe.reporting.html import Html, figure, image, joined, table, tag
+from refdgs_pipe.reporting.pictures import webp
+from refdgs_pipe.texture.texels import rasterize
+from refdgs_pipe.wording import counted
+
+U8 = NDArray[np.uint8]
+_FRAMES, _FRAME, _MAP = 4, 300, 512
+_WEAK = 0.5  # confidence
+
+
+def coverage(facts: Facts, _: Drawing) -> Html:
+    """The mesh and its atlas, coloured by what photos saw of them; holes."""
+    textured = facts.load(TexturedMesh)
+    sides = render_coverage(product_of(facts), count=_FRAMES, side=_FRAME)
+    pictures = [
+        image(webp(side), f"what photos saw, side {i}", (_FRAME, _FRAME))
+        for i, side in enumerate(sides, 1)
+    ]
+    side = min(_MAP, textured.size)
+    step = textured.size // side
+    texels = rasterize(textured.mesh, side)
+    trust = textured.confidence[::step, ::step].reshape(-1)[texels.index] / np.float32(65535)
+    atlas = np.zeros((side * side, 4), np.float32)
+    atlas[texels.index, :3] = np.where(
+        trust[:, None] > 0, LITTLE + (MUCH - LITTLE) * trust[:, None], UNSEEN
+    )
+    atlas[texels.index, 3] = 1
+    rows = [
+        ("seen by no camera, filled in from beside it", trust == 0, UNSEEN),
+        ("seen by few, at a slant, or unlike", (trust > 0) & (trust < _WEAK), LITTLE),
+        ("seen well", trust >= _WEAK, MUCH),
+    ]
+    shares: list[tuple[Html | str, ...]] = [
+        (joined(_swatch(color), f" {name}"), f"{there.mean() if len(there) else 0:.1%}")
+        for name, there, color in rows
+    ]
+    shares.append((joined(_swatch(INSIDE), " the inside, through a hole"), _holes(textured)))
+    label = "the atlas, in the same colours"
+    picture = np.round(atlas.reshape(side, side, 4) * 255).astype(np.uint8)
+    return joined(
+        tag("div", *pictures, class_="quad"),
+        tag(
+            "div",
+            table(("texels", "share"), shares),
+            figure(image(webp(picture), label, (side, side)), label),
+            class_="pair",
+        ),
+        tag("p", "The same as grey values: textures/confidence.png of the asset.", class_="hint"),
+    )
+
+
+def _swatch(color: NDArray[np.float32]) -> Html:
+    """A small square of an sRGB colour."""
+    code = "#" + "".join(f"{round(float(value) * 255):02x}" for value in color)
+    square = tag("rect", width=10, height=10, fill=code)
+    return tag("svg", square, width=10, height=10, viewBox="0 0 10 10", role="presentation")
+
+
+def _holes(textured: TexturedMesh) -> str:
+    rims, length = open_rims(textured.mesh)
+    if not rims:
+        return "none"
+    return f"{counted(rims, 'open rim')}, {length:.3g} world units in all"
+
+
+def open_rims(mesh: UvMesh) -> tuple[int, float]:
+    """How many loops of edges have a face on one side only, and their length in world units."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    points, same = np.unique(mesh.vertices, axis=0, return_inverse=True)
+    welded = same.reshape(-1)[mesh.faces]
+    edges = np.sort(np.stack([welded, np.roll(welded, -1, axis=1)], -1).reshape(-1, 2), axis=1)
+    unique, counts = np.unique(edges, axis=0, return_counts=True)
+    rim = unique[counts == 1]
+    if not len(rim):
+        return 0, 0.0
+    length = float(np.linalg.norm(points[rim[:, 0]] - points[rim[:, 1]], axis=1).sum())
+    links = coo_matrix((np.ones(len(rim)), rim.T), shape=(len(points),) * 2)
+    _, part = connected_components(links, directed=False)
+    return len(np.unique(part[rim[:, 0]])), length
