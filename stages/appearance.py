@@ -22,9 +22,7 @@ class AppearanceParams(Params):
         300_000, ge=1000, le=20_000_000, description="places compared in all views, a count"
     )
     light: int = Field(64, ge=16, le=256, multiple_of=4, description="rows of the light, in texels")
-    tolerance: float = Field(
-        0.01, gt=0, le=0.2, description="how far mesh and field may lie apart, in ball diameters"
-    )
+    tolerance: float = Field(0.01, gt=0, le=0.2, description="mesh to field, in ball diameters")
 
 
 @stage(version=3, programs=("open3d-cpu", "scipy"))
