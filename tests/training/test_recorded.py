@@ -111,7 +111,7 @@ def soon(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize(
     ("settings", "masked"),
-    [({"patience": 0.5}, True), (BRIEF, False)],
+    [({"patience": 0.5}, True), (BRIEF | {"iterations": 6}, False)],
 )
 def test_replayed_steps_are_steps(tmp_path: Path, settings: dict[str, Any], masked: bool) -> None:
     """Every photo, rate and backdrop reaches them; densification has them recorded anew."""
