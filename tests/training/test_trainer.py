@@ -26,6 +26,7 @@ from refdgs_pipe.training.surfels import DensityRules, TrainableSet, densify
 from refdgs_pipe.training.trainer import Trainer
 
 SMALL = TrainParams(
+    volume_steps=10,
     iterations=60,
     surfels=1500,
     max_surfels=2500,
