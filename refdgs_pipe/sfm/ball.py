@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from refdgs_pipe.artifacts.sparse_model import Ball
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import F64, Camera
+from refdgs_pipe.errors import PoseError
 from refdgs_pipe.files.images import read_png
 
 F32 = NDArray[np.float32]
@@ -20,9 +21,20 @@ MARGIN = 1.03  # the soft rim of masks, and the cells' size
 
 
 def object_ball(cameras: tuple[Camera, ...], views: Views) -> Ball:
-    """The ball around the visual hull where there are masks, else what most photos show whole."""
+    """The ball around the visual hull where there are masks, else what most photos show whole.
+
+    Raises:
+        PoseError: half of the cameras do not look at one common point.
+    """
     center = focus_point(cameras)
     guess = Ball(center, seen_radius(cameras, center))
+    if not guess.radius > 0:
+        raise PoseError(
+            f"fewer than half of the {len(cameras)} cameras see the point that they look at together, "
+            "so there is no telling where the object is. Either the photos were placed wrongly "
+            "(take more of them, overlapping, with textured surroundings) or they look outwards "
+            "(walk around the object and keep it in the middle)"
+        )
     masked = tuple(camera for camera in cameras if views[camera.name].mask is not None)
     if len(masked) < 3:
         return guess

@@ -96,6 +96,13 @@ def test_the_seen_radius_is_that_of_the_largest_ball_in_the_picture() -> None:
     assert seen_radius(tuple(ring()), TARGET) == pytest.approx(expected)
 
 
+def test_cameras_that_look_outwards_show_no_object(tmp_path: Path) -> None:
+    turned = np.diag([-1.0, 1.0, -1.0, 1.0])
+    cameras = [replace(c, cam_from_world=turned @ c.cam_from_world) for c in ring()]
+    with pytest.raises(PoseError, match="fewer than half of the 24 cameras see the point"):
+        in_world_frame(sparse(cameras, table_and_object()), views_of(cameras, tmp_path))
+
+
 @pytest.mark.parametrize("arc_deg", [360.0, 120.0])
 def test_up_is_found_from_cameras_that_look_down(arc_deg: float) -> None:
     """On part of a circle the photos' mean up leans; the level axes do not."""
