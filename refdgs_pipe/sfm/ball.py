@@ -30,10 +30,10 @@ def object_ball(cameras: tuple[Camera, ...], views: Views) -> Ball:
     guess = Ball(center, seen_radius(cameras, center))
     if not guess.radius > 0:
         raise PoseError(
-            f"fewer than half of the {len(cameras)} cameras see the point that they look at together, "
-            "so there is no telling where the object is. Either the photos were placed wrongly "
-            "(take more of them, overlapping, with textured surroundings) or they look outwards "
-            "(walk around the object and keep it in the middle)"
+            f"fewer than half of the {len(cameras)} cameras see the point that they look at "
+            "together, so there is no telling where the object is. Either the photos were placed "
+            "wrongly (take more of them, overlapping, with textured surroundings) or they look "
+            "outwards (walk around the object and keep it in the middle)"
         )
     masked = tuple(camera for camera in cameras if views[camera.name].mask is not None)
     if len(masked) < 3:
