@@ -126,17 +126,18 @@ def score_surface(
         return None
     diagonal = _diagonal(true_mesh.vertices[np.unique(true_mesh.faces)])
     to_truth = truth.distances(samples)
-    paper = None
+    points_apart: float | None = None
     if among_others:
         to_truth = to_truth[to_truth < NEIGHBOURHOOD * diagonal]
         if not len(to_truth):
             return None
     else:
-        paper = SurfaceDistances(nearest(points, targets), nearest(targets, points)).chamfer
+        paper = SurfaceDistances(nearest(points, targets), nearest(targets, points))
+        points_apart = paper.chamfer
     between = SurfaceDistances(to_truth, result.distances(true_samples))
     return SurfaceScore(
         diagonal,
-        paper_chamfer=paper,
+        paper_chamfer=points_apart,
         chamfer=between.chamfer,
         accuracy=between.accuracy,
         completeness=between.completeness,

@@ -23,6 +23,7 @@ class TrainingPhoto:
         mask: (H, W) uint8, or None.
         valid: (H, W) bool, or None when all are.
         held: (2, K) rows and columns of pixels that are measured and never trained on, or None.
+        which: (P,) 1 at the photo's place among P whose exposures are fitted, 0 elsewhere; or None.
     """
 
     camera: Camera
@@ -31,13 +32,16 @@ class TrainingPhoto:
     mask: Tensor | None
     valid: Tensor | None
     held: Tensor | None = None
+    which: Tensor | None = None
 
     def to(self, device: str) -> "TrainingPhoto":
         """The photo with its pixels on a device; the camera stays."""
         mask = None if self.mask is None else self.mask.to(device)
         valid = None if self.valid is None else self.valid.to(device)
         held = None if self.held is None else self.held.to(device)
-        return replace(self, rgb=self.rgb.to(device), mask=mask, valid=valid, held=held)
+        which = None if self.which is None else self.which.to(device)
+        rgb = self.rgb.to(device)
+        return replace(self, rgb=rgb, mask=mask, valid=valid, held=held, which=which)
 
 
 def load_training_photos(
@@ -91,7 +95,8 @@ def shrunk(photo: TrainingPhoto, scale: float) -> TrainingPhoto:
     camera = photo.camera.resized(width, height)
     pixels = np.ascontiguousarray(np.rint(rgb.clip(0, 255)).astype(np.uint8).transpose(2, 0, 1))
     pinhole = Pinhole.of(camera, photo.pinhole.near)
-    return TrainingPhoto(camera, pinhole, torch.from_numpy(pixels), small, valid)
+    rgb_tensor = torch.from_numpy(pixels)
+    return TrainingPhoto(camera, pinhole, rgb_tensor, small, valid, which=photo.which)
 
 
 def _shrunk_there(photo: TrainingPhoto, width: int, height: int) -> TrainingPhoto:
@@ -114,7 +119,14 @@ def _shrunk_there(photo: TrainingPhoto, width: int, height: int) -> TrainingPhot
         valid = small(valid.float()) > 0.999
     camera = photo.camera.resized(width, height)
     pinhole = Pinhole.of(camera, photo.pinhole.near)
-    return TrainingPhoto(camera, pinhole, rgb.clamp(0, 255).round().to(torch.uint8), mask, valid)
+    pixels = rgb.clamp(0, 255).round().to(torch.uint8)
+    return TrainingPhoto(camera, pinhole, pixels, mask, valid, which=photo.which)
+
+
+def numbered(photos: list[TrainingPhoto]) -> list[TrainingPhoto]:
+    """The photos, each with its place among them."""
+    places = torch.eye(len(photos))
+    return [replace(photo, which=place) for photo, place in zip(photos, places, strict=True)]
 
 
 def area_weights(large: int, small: int) -> Tensor:
