@@ -19,7 +19,7 @@ def train(views: Views, model: SparseModel, params: TrainParams, job: Job) -> Su
     from refdgs_pipe.training.trainer import Trainer
 
     def starting(done: int, total: int) -> None:
-        job.progress("looking for hollows", done, total)
+        job.progress("looking for a start", done, total)
 
     torch.set_num_threads(job.threads)
     if job.device == "cuda":

@@ -24,6 +24,7 @@ from refdgs_pipe.training.step import take_step
 Progress = Callable[[int, int], None]
 """Told the steps done and their number; may raise."""
 
+_REACH = 0.0075  # of the longer side: masks that were found are blurred by less
 _FILE = "look.safetensors"
 _GENTLE = {
     "start": "ball",
@@ -54,6 +55,14 @@ class Look:
 
     photos: list[TrainingPhoto]
     background: dict[str, Tensor] | None
+
+    @property
+    def limited(self) -> list[TrainingPhoto]:
+        """The photos as they were given, with what the look saw no object near."""
+        return [
+            replace(photo, mask=None, beyond=None if photo.mask is None else _beyond(photo.mask))
+            for photo in self.photos
+        ]
 
 
 def look(
@@ -134,6 +143,16 @@ def _covered(field: TrainableField, photo: TrainingPhoto) -> np.ndarray:
         picture = draw(scene, photo.pinhole, torch.zeros(3, device=photo.rgb.device))
     alpha = picture.object_alpha.clamp(0, 1).cpu().numpy()
     return np.asarray(np.rint(255 * alpha), np.uint8)
+
+
+def _beyond(mask: Tensor) -> Tensor:
+    """(H, W) bool where the mask covers nothing, not even near by."""
+    import cv2
+
+    reach = max(1, round(_REACH * max(mask.shape)))
+    kernel = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+    near = cv2.dilate((mask.numpy() > 127).astype(np.uint8), kernel)
+    return torch.from_numpy(near == 0)
 
 
 def _with_masks(photos: list[TrainingPhoto], masks: list[np.ndarray]) -> list[TrainingPhoto]:

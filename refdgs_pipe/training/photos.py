@@ -23,6 +23,7 @@ class TrainingPhoto:
         mask: (H, W) uint8, or None.
         valid: (H, W) bool, or None when all are.
         held: (2, K) rows and columns of pixels that are measured and never trained on, or None.
+        beyond: (H, W) bool where the object is known not to be although there is no mask, or None.
         which: (P,) 1 at the photo's place among P whose exposures are fitted, 0 elsewhere; or None.
     """
 
@@ -33,6 +34,7 @@ class TrainingPhoto:
     valid: Tensor | None
     held: Tensor | None = None
     which: Tensor | None = None
+    beyond: Tensor | None = None
 
     def to(self, device: str) -> "TrainingPhoto":
         """The photo with its pixels on a device; the camera stays."""
@@ -40,8 +42,9 @@ class TrainingPhoto:
         valid = None if self.valid is None else self.valid.to(device)
         held = None if self.held is None else self.held.to(device)
         which = None if self.which is None else self.which.to(device)
-        rgb = self.rgb.to(device)
-        return replace(self, rgb=rgb, mask=mask, valid=valid, held=held, which=which)
+        beyond = None if self.beyond is None else self.beyond.to(device)
+        photo = replace(self, rgb=self.rgb.to(device), mask=mask, valid=valid, held=held)
+        return replace(photo, which=which, beyond=beyond)
 
 
 def load_training_photos(
@@ -86,17 +89,25 @@ def shrunk(photo: TrainingPhoto, scale: float) -> TrainingPhoto:
             rgb, mask[..., None] / 255, out=np.zeros_like(rgb), where=mask[..., None] > 0.5
         )
         small = torch.from_numpy(np.rint(mask).astype(np.uint8))
-    valid = None
-    if photo.valid is not None:
-        grown = cv2.resize(
-            photo.valid.numpy().astype(np.float32), (width, height), interpolation=cv2.INTER_AREA
-        )
-        valid = torch.from_numpy(grown > 0.999)
+    valid, beyond = (_all_within(of, width, height) for of in (photo.valid, photo.beyond))
     camera = photo.camera.resized(width, height)
     pixels = np.ascontiguousarray(np.rint(rgb.clip(0, 255)).astype(np.uint8).transpose(2, 0, 1))
     pinhole = Pinhole.of(camera, photo.pinhole.near)
     rgb_tensor = torch.from_numpy(pixels)
-    return TrainingPhoto(camera, pinhole, rgb_tensor, small, valid, which=photo.which)
+    reduced = TrainingPhoto(camera, pinhole, rgb_tensor, small, valid)
+    return replace(reduced, which=photo.which, beyond=beyond)
+
+
+def _all_within(which: Tensor | None, width: int, height: int) -> Tensor | None:
+    """(height, width) whether every pixel of (H, W) bool that goes into a new one is true."""
+    import cv2
+
+    if which is None:
+        return None
+    grown = cv2.resize(
+        which.numpy().astype(np.float32), (width, height), interpolation=cv2.INTER_AREA
+    )
+    return torch.from_numpy(grown > 0.999)
 
 
 def _shrunk_there(photo: TrainingPhoto, width: int, height: int) -> TrainingPhoto:
@@ -107,7 +118,7 @@ def _shrunk_there(photo: TrainingPhoto, width: int, height: int) -> TrainingPhot
         columns = area_weights(planes.shape[-1], width).to(planes.device)
         return rows @ planes @ columns.T
 
-    rgb, mask, valid = photo.rgb.float(), photo.mask, photo.valid
+    rgb, mask = photo.rgb.float(), photo.mask
     if mask is not None:
         whole = mask.float()
         rgb, whole = small(rgb * (whole / 255)), small(whole)
@@ -115,12 +126,14 @@ def _shrunk_there(photo: TrainingPhoto, width: int, height: int) -> TrainingPhot
         mask = whole.round().to(torch.uint8)
     else:
         rgb = small(rgb)
-    if valid is not None:
-        valid = small(valid.float()) > 0.999
+    valid, beyond = (
+        None if of is None else small(of.float()) > 0.999 for of in (photo.valid, photo.beyond)
+    )
     camera = photo.camera.resized(width, height)
     pinhole = Pinhole.of(camera, photo.pinhole.near)
     pixels = rgb.clamp(0, 255).round().to(torch.uint8)
-    return TrainingPhoto(camera, pinhole, pixels, mask, valid, which=photo.which)
+    reduced = TrainingPhoto(camera, pinhole, pixels, mask, valid)
+    return replace(reduced, which=photo.which, beyond=beyond)
 
 
 def numbered(photos: list[TrainingPhoto]) -> list[TrainingPhoto]:

@@ -81,6 +81,8 @@ def _loss(
     # weights go in, so that backward has nothing to scale
     if photo.mask is not None and p.mask_weight > 0:
         loss = loss + mask_entropy(maps.alpha, photo.mask, weight=p.mask_weight)
+    if photo.beyond is not None and p.mask_weight > 0:
+        loss = loss + p.mask_weight * losses.out_of_place(picture.object_alpha, photo.beyond)
     if p.normal_weight > 0 and maps.normal is not None and maps.depth is not None:
         loss = loss + normal_agreement(
             maps.normal,

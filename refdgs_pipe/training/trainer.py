@@ -85,6 +85,7 @@ class Trainer:
             seen = look(
                 params, model, photos, scratch, near=self.near, device=device, progress=starting
             )
+            photos = seen.limited
         self.field = TrainableField(
             params,
             model,

@@ -1,5 +1,6 @@
 """Photos without masks: what is the object's, what is the ground's, and where to start."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +13,9 @@ from training.test_trainer import SMALL, capture, model_of, quiet
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.errors import Cancelled
 from refdgs_pipe.training.ground import Surroundings
-from refdgs_pipe.training.look import look
-from refdgs_pipe.training.photos import load_training_photos
+from refdgs_pipe.training.look import Look, look
+from refdgs_pipe.training.losses import out_of_place
+from refdgs_pipe.training.photos import load_training_photos, shrunk
 from refdgs_pipe.training.step import NEAR
 from refdgs_pipe.training.trainer import Trainer
 
@@ -107,3 +109,27 @@ def test_masks_that_are_there_are_not_looked_for(tmp_path: Path) -> None:
     views, model = capture(tmp_path / "views")
     Trainer(views, model, LOOKING, tmp_path)
     assert not list(tmp_path.glob("look*"))
+
+
+def test_only_what_lies_beyond_the_object_costs() -> None:
+    alpha = torch.tensor([[0.0, 0.5], [0.5, 1.0]], dtype=torch.float64, requires_grad=True)
+    beyond = torch.tensor([[True, True], [False, False]])
+    loss = out_of_place(alpha, beyond)
+    assert loss.item() == pytest.approx(np.log(2) / 4)
+    loss.backward()
+    assert alpha.grad is not None
+    assert alpha.grad.tolist() == [[0.25, 0.5], [0, 0]]
+
+
+def test_a_look_says_where_nothing_of_the_object_is_near(tmp_path: Path) -> None:
+    views, model = capture(tmp_path / "views", masked=False)
+    (photo, *_) = load_training_photos(views, model, max_side=64, near=NEAR)
+    mask = torch.zeros(64, 64, dtype=torch.uint8)
+    mask[20:40, 20:40] = 255
+    (seen,) = Look([replace(photo, mask=mask)], None).limited
+    assert seen.mask is None and seen.beyond is not None
+    assert not seen.beyond[19:41, 19:41].any()
+    assert seen.beyond[:18].all() and seen.beyond[:, 42:].all()
+    half = shrunk(seen, 0.5).beyond
+    assert half is not None and half.shape == (32, 32)
+    assert not half[9:21, 9:21].any() and half[:9].all()
