@@ -24,9 +24,12 @@ from refdgs_pipe.training.step import take_step
 Progress = Callable[[int, int], None]
 """Told the steps done and their number; may raise."""
 
+_LEAST = 0.002  # of the median photo, that an object covers
 _REACH = 0.0075  # of the longer side: masks that were found are blurred by less
 _FILE = "look.safetensors"
 _GENTLE = {
+    "reflection": True,  # without it, mirrors are lost, and what is matte is found as well with it
+    "local": "dual",
     "start": "ball",
     "normal_weight": 0.05,
     "normal_edge": 1000.0,
@@ -49,7 +52,7 @@ class Look:
     """What was found.
 
     Args:
-        photos: those that were given, each with the object as its mask.
+        photos: those that were given, each with the object as its mask; without, if none was found.
         background: what lies behind the object, as `TrainableSet.raw` has it; None without a look.
     """
 
@@ -86,6 +89,9 @@ def look(
         _keep(kept, params, model, photos, near=near, device=device, progress=progress)
     tensors = load_file(kept)
     masks = [tensors.pop(f"mask {i}").numpy() for i in range(len(photos))]
+    shown = float(np.median([(mask > 127).mean() for mask in masks]))
+    if shown < _LEAST:  # then nothing is known, and surfels start throughout the ball
+        return Look(photos, tensors)
     return Look(_with_masks(photos, masks), tensors)
 
 

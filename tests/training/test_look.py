@@ -111,6 +111,19 @@ def test_masks_that_are_there_are_not_looked_for(tmp_path: Path) -> None:
     assert not list(tmp_path.glob("look*"))
 
 
+def test_a_look_that_finds_nothing_forbids_nothing(tmp_path: Path) -> None:
+    views, model = capture(tmp_path / "views", masked=False, size=32)
+    params = LOOKING.model_copy(update={"look_steps": 1})
+    photos = load_training_photos(views, model, max_side=32, near=NEAR)
+    look(params, model, photos, tmp_path, near=NEAR)
+    kept = {name: t.clone() for name, t in load_file(tmp_path / "look.safetensors").items()}
+    kept |= {name: torch.zeros_like(t) for name, t in kept.items() if name.startswith("mask")}
+    save_file(kept, tmp_path / "look.safetensors")
+    found = look(params, model, photos, tmp_path, near=NEAR)
+    assert all(photo.mask is None for photo in found.photos)
+    assert all(photo.beyond is None for photo in found.limited)
+
+
 def test_only_what_lies_beyond_the_object_costs() -> None:
     alpha = torch.tensor([[0.0, 0.5], [0.5, 1.0]], dtype=torch.float64, requires_grad=True)
     beyond = torch.tensor([[True, True], [False, False]])
