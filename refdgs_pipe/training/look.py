@@ -106,11 +106,12 @@ def _keep(
     progress: Progress | None,
 ) -> None:
     """Look, and write what was found."""
-    small = [shrunk(photo, params.coarse).to(device) for photo in photos]
+    small = [shrunk(photo, params.coarse) for photo in photos]
     field = _looked(params, model, small, near, device, progress)
     assert field.background is not None
     tensors = {name: raw.detach().cpu() for name, raw in field.background.raw.items()}
-    tensors |= {f"mask {i}": torch.from_numpy(_covered(field, p)) for i, p in enumerate(small)}
+    masks = [torch.from_numpy(_covered(field, photo.to(device))) for photo in small]
+    tensors |= {f"mask {i}": mask for i, mask in enumerate(masks)}
     part = path.with_suffix(".part")
     save_file(tensors, part)
     part.replace(path)
@@ -127,8 +128,8 @@ def _looked(
     """The field of a short run that asks for no sharp surface."""
     steps = params.look_steps
     gentle = params.model_copy(update={**_GENTLE, "iterations": steps})
-    there = [photo.to("cpu") for photo in photos]
-    field = TrainableField(gentle, model, there, masked=False, near=near, device=device)
+    field = TrainableField(gentle, model, photos, masked=False, near=near, device=device)
+    photos = [photo.to(device) for photo in photos]
     rng = torch.Generator().manual_seed(params.seed)
     backdrop = torch.zeros(3, device=device)
     for step in range(steps):
