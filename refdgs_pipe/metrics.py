@@ -133,6 +133,11 @@ class SurfaceDistances:
         """The mean of accuracy and completeness; nothing is capped or squared."""
         return (self.accuracy + self.completeness) / 2
 
+    @property
+    def medians(self) -> tuple[float, float]:
+        """The median distances from the result to the truth, and back."""
+        return float(np.median(self.to_truth)), float(np.median(self.to_result))
+
     def f_score(self, threshold: float) -> float:
         """Harmonic mean of the shares of either side's samples that are closer than `threshold`.
 

@@ -10,7 +10,7 @@ LEAST_OVERLAP = 0.6  # of masks and field
 LEAST_FILL = 0.02  # of the object ball's disc, where there are no masks
 
 
-@stage(version=5)
+@stage(version=6)
 def train(views: Views, model: SparseModel, params: TrainParams, job: Job) -> SurfelField:
     """Optimise geometry, local reflection and background surfels and the shader."""
     import torch
@@ -19,7 +19,7 @@ def train(views: Views, model: SparseModel, params: TrainParams, job: Job) -> Su
     from refdgs_pipe.training.trainer import Trainer
 
     def starting(done: int, total: int) -> None:
-        job.progress("looking for hollows", done, total)
+        job.progress("looking for a start", done, total)
 
     torch.set_num_threads(job.threads)
     if job.device == "cuda":

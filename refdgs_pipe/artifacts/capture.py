@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from refdgs_pipe.artifacts.truth import all_truth_files
+from refdgs_pipe.artifacts.truth import all_truth_files, photo_truth_files
 from refdgs_pipe.artifacts.views import KnownPose
 from refdgs_pipe.errors import CaptureError, InputError
 
@@ -96,6 +96,8 @@ class Capture:
             files.update(p for p in map(nero_depth, found.photos) if p.is_file())
         if found.kind in ("blender", "nerfstudio", "nero"):
             files |= all_truth_files(found.root, list(files))
+        if found.kind == "photos":
+            files |= photo_truth_files(found.root)
         if found.masks is not None:
             files.update(_visible_files(found.masks))
         return sorted((relative_name(found.root, path), path) for path in files)

@@ -46,6 +46,7 @@ class SurfaceScore:
         paper_chamfer: between points that the training cameras see.
         chamfer, accuracy, completeness: between surfaces, where training cameras see them.
         f_score_half_percent, f_score_one_percent: share within that part of the diagonal, 0 to 1.
+        median_accuracy, median_completeness: medians where accuracy and completeness are means.
     """
 
     diagonal: float
@@ -55,6 +56,8 @@ class SurfaceScore:
     completeness: float | None = None
     f_score_half_percent: float | None = None
     f_score_one_percent: float | None = None
+    median_accuracy: float | None = None
+    median_completeness: float | None = None
 
     def percent(self, length: float | None) -> float | None:
         """A length in percent of the diagonal."""
@@ -161,7 +164,8 @@ class Scores:
         """Everything as JSON has it, with the means and percentages that `load` leaves out."""
         surface = None
         if self.surface is not None:
-            lengths = ("paper_chamfer", "chamfer", "accuracy", "completeness")
+            shares = ("diagonal", "f_score_half_percent", "f_score_one_percent")
+            lengths = [name for name in asdict(self.surface) if name not in shares]
             percent = {
                 f"{name}_percent": self.surface.percent(getattr(self.surface, name))
                 for name in lengths

@@ -35,6 +35,8 @@ SURFACE_ROWS = {
     "chamfer": ("Chamfer distance", "between the surfaces, where seen"),
     "accuracy": ("  mesh to truth", "accuracy"),
     "completeness": ("  truth to mesh", "completeness"),
+    "median_accuracy": ("  mesh to truth", "median"),
+    "median_completeness": ("  truth to mesh", "median"),
 }
 
 
@@ -103,7 +105,8 @@ def _surface_rows(surface: dict[str, Any], notes: dict[str, str]) -> list[tuple[
     for figure, (label, remark) in SURFACE_ROWS.items():
         share = surface[f"{figure}_percent"]
         words = remark if share is None else f"{share:.3f} % of the diagonal; {remark}"
-        rows.append(_row(label, surface[figure], "units", 5, words, notes.get("chamfer")))
+        note = notes.get(figure, notes.get("chamfer"))
+        rows.append(_row(label, surface[figure], "units", 5, words, note))
     for figure, part in (("f_score_half_percent", "0.5 %"), ("f_score_one_percent", "1 %")):
         words = f"share within {part} of the diagonal"
         rows.append(_row("F-score", surface[figure], "", 4, words, notes.get("chamfer")))

@@ -25,6 +25,7 @@ from refdgs_pipe.artifacts.truth import scene_truth_files, view_truth_files
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.errors import InputError
+from refdgs_pipe.evaluation.alignment import laid, read_true_centers, world_from_truth
 from refdgs_pipe.evaluation.materials import score_materials
 from refdgs_pipe.evaluation.surface import score_surface
 from refdgs_pipe.evaluation.truth import (
@@ -139,13 +140,21 @@ def score(subject: Subject, drawing: Drawing, protocol: Protocol) -> Scores:
     notes = _notes(views, subject.no_true_maps, lpips=protocol.lpips is not None)
     if why is not None:
         notes["surface"] = why
-    elif surface is not None and surface.chamfer is None:
-        notes["chamfer"] = "no gt_mesh.ply in the data set, only points"
+    elif surface is not None:
+        notes |= _surface_notes(surface)
     materials, why = _score_materials(subject, held_out or cameras)
     if why is not None:
         notes["materials"] = why
     split = "test" if held_out else "train"
     return Scores(split, tuple(views), surface, materials=materials, notes=notes)
+
+
+def _surface_notes(surface: SurfaceScore) -> dict[str, str]:
+    if surface.chamfer is None:
+        return {"chamfer": "no gt_mesh.ply in the data set, only points"}
+    if surface.paper_chamfer is None:
+        return {"paper_chamfer": "the capture's own unit of length is not the truth's"}
+    return {}
 
 
 def _score_view(
@@ -252,19 +261,41 @@ def compare_maps(maps: SurfaceMap, truth: ViewTruth) -> dict[str, float]:
 
 def _score_surface(subject: Subject, longest: int) -> tuple[SurfaceScore | None, str | None]:
     """The surface's score, or why there is none."""
-    if subject.no_truth:
-        return None, subject.no_truth
     files = scene_truth_files(subject.root)
+    if subject.no_truth:
+        if files.mesh is None or files.cameras is None:
+            return None, subject.no_truth
+        return _score_surface_by_cameras(subject, files.mesh, files.cameras, longest)
     if files.mesh is None and files.points is None:
         return None, "no gt_mesh.ply in the data set"
-    cameras = [c for c in subject.model.cameras if c.split == "train"] or subject.model.cameras
     found = score_surface(
         subject.mesh,
-        [camera.fitted(longest) for camera in cameras],
+        _training_cameras(subject, longest),
         None if files.mesh is None else read_true_mesh(files.mesh),
         None if files.points is None else read_true_points(files.points),
     )
     return found, None if found else "no training camera sees the mesh, or none the true surface"
+
+
+def _score_surface_by_cameras(
+    subject: Subject, mesh: Path, centers: Path, longest: int
+) -> tuple[SurfaceScore | None, str | None]:
+    """The surface's score where only the true cameras tell where the truth lies."""
+    model = subject.model
+    world = world_from_truth(model.cameras, read_true_centers(centers))
+    if world is None:
+        return None, f"{centers.name} holds fewer than 3 of the photos, or all in one line"
+    truth = laid(read_true_mesh(mesh), world)
+    found = score_surface(
+        subject.mesh, _training_cameras(subject, longest), truth, among_others=True
+    )
+    return found, None if found else "no training camera sees a mesh near the true surface"
+
+
+def _training_cameras(subject: Subject, longest: int) -> list[Camera]:
+    """Those of the train split, or all if there is none, no larger than `longest` pixels."""
+    cameras = [c for c in subject.model.cameras if c.split == "train"] or subject.model.cameras
+    return [camera.fitted(longest) for camera in cameras]
 
 
 def _notes(views: list[ViewScore], no_truth: str | None, *, lpips: bool) -> dict[str, str]:

@@ -27,6 +27,8 @@ _SURFACE = {
     "chamfer": "Chamfer distance, surfaces",
     "accuracy": "mesh to truth",
     "completeness": "truth to mesh",
+    "median_accuracy": "mesh to truth, median",
+    "median_completeness": "truth to mesh, median",
 }
 
 

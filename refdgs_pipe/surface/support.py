@@ -1,8 +1,9 @@
 """The level surface that the object stands on, and the mesh without it.
 
 A table or a plate is what is level, faces up, reaches out from under what stands on it, and has
-something standing on it. A box's lid has nothing on it; the bottom of a cup reaches out from under
-nothing.
+something standing on it, more than hangs below it. A box's lid has nothing on it; the bottom of a
+cup reaches out from under nothing; a kettle's shoulder carries a knob, and most of the kettle is
+below it.
 """
 
 from dataclasses import dataclass
@@ -81,9 +82,12 @@ def find_support(mesh: TriangleMesh, up: F64, size: float) -> Support | None:
         margin = float(np.clip(4 * noise, _LEAST_MARGIN * size, _THICK * size))
         share = float(areas[on].sum() / areas.sum())
         support = Support(normal, offset, margin, _FLAT * _THICK * size, share)
-        above = heights > _THICK * size
-        if normal @ up > np.cos(np.radians(_TILT_DEG)) and _carries(
-            support, centers, areas, on, above
+        above, below = heights > _THICK * size, heights < -_THICK * size
+        level_enough = normal @ up > np.cos(np.radians(_TILT_DEG))
+        if (
+            level_enough
+            and areas[below].sum() <= areas[above].sum()
+            and _carries(support, centers, areas, on, above)
         ):
             return support
     return None

@@ -12,6 +12,8 @@ from refdgs_pipe.artifacts.surfel_field import ShaderModel, SurfelField, SurfelS
 from refdgs_pipe.ops import Pinhole
 from refdgs_pipe.ops.cuda import sent
 from refdgs_pipe.training import initial
+from refdgs_pipe.training.exposure import Exposures
+from refdgs_pipe.training.ground import Surroundings
 from refdgs_pipe.training.photos import TrainingPhoto
 from refdgs_pipe.training.reflection import Shader
 from refdgs_pipe.training.settings import TrainParams
@@ -39,8 +41,10 @@ class TrainableField:
     """Geometry, local reflection and background surfels, and the shader.
 
     Args:
-        photos: on the CPU; they are looked at only here.
+        photos: on the CPU; they are looked at only here. Their masks say where surfels start.
+        masked: the photos' background is removed, and needs no surfels.
         device: where the surfels and the shader are.
+        behind: the background's surfels to start from, if they are known.
         restored: the surfels are about to be replaced by those of a checkpoint.
         progress: told the steps done and their number while the start is looked for; may raise.
     """
@@ -54,10 +58,12 @@ class TrainableField:
         masked: bool,
         near: float,
         device: str = "cpu",
+        behind: dict[str, Tensor] | None = None,
         restored: bool = False,
         progress: Callable[[int, int], None] | None = None,
     ) -> None:
-        self.params, self.ball, self.near, self.device = params, model.ball, near, device
+        self.params, self.near, self.device = params, near, device
+        self.around = Surroundings(model, ground=params.ground == "background" and not masked)
         # Without masks nothing but reflections holds a mirror's surface in place from the start.
         self.reflect_from = params.reflect_from if masked else 0.0
         cameras = [photo.camera for photo in photos]
@@ -65,13 +71,13 @@ class TrainableField:
         self.extent = 1.1 * float(np.linalg.norm(centers - centers.mean(0), axis=1).max())
         if len(cameras) == 1 or self.extent <= 0:
             self.extent = float(np.linalg.norm(centers[0] - model.ball.center))
-        most = params.surfels_per_pixel * _covered_pixels(model, photos, masked=masked)
+        most = params.surfels_per_pixel * _covered_pixels(model, photos)
         self.most = max(params.surfels, min(params.max_surfels, round(most)))
         self.most_local = max(params.local_surfels, min(params.max_local_surfels, round(most / 2)))
         rng = np.random.default_rng(params.seed)
         self.rates = self._rates()
         self.faintest = params.prune_opacity
-        self.geometry = self._set(self._geometry(model, photos, masked, rng, restored, progress))
+        self.geometry = self._set(self._geometry(model, photos, rng, restored, progress))
         self.local: TrainableSet | None = None
         self.shader: Shader | None = None
         self.shader_optimizer: list[torch.optim.Adam] = []
@@ -93,7 +99,12 @@ class TrainableField:
                 raw = initial.raw_discs(cloud, LOCAL_OPACITY)
                 raw["features"] = torch.zeros(params.local_surfels, 4)
                 self.local = self._set(raw)
-        self.background = None if masked else self._background(model, photos, rng)
+        self.background: TrainableSet | None = None
+        self.exposures: Exposures | None = None
+        if not masked and params.exposure == "fitted":
+            self.exposures = Exposures(len(photos), params.rate_exposure, device)
+        if not masked:
+            self.background = self._set(behind or self._background(model, photos, rng))
 
     def _set(self, raw: dict[str, Tensor]) -> TrainableSet:
         return TrainableSet({k: v.to(self.device) for k, v in raw.items()}, self.rates)
@@ -115,20 +126,20 @@ class TrainableField:
         self,
         model: SparseModel,
         photos: list[TrainingPhoto],
-        masked: bool,
         rng: np.random.Generator,
         restored: bool,
         progress: Callable[[int, int], None] | None,
     ) -> dict[str, Tensor]:
         p, cloud, opacity = self.params, None, self.params.start_opacity
-        if masked and p.start != "ball" and all(photo.mask is not None for photo in photos):
+        if p.start != "ball" and all(photo.mask is not None for photo in photos):
             cloud = _hull_cloud(p, model, photos, rng, restored, progress)
             opacity = p.start_opacity if p.start == "volume" else HULL_OPACITY
         if cloud is None or p.start == "volume":
             self.faintest = min(self.faintest, FAINT)
         if cloud is None:
             cloud, opacity = initial.ball_cloud(model.ball, p.surfels, rng), BALL_OPACITY
-            inside = self._inside(torch.from_numpy(model.points)).numpy()
+            cloud = initial.chosen(cloud, self.around.above(torch.from_numpy(cloud.points)).numpy())
+            inside = self.around.objects(torch.from_numpy(model.points), BALL_MARGIN).numpy()
             if inside.any():
                 points, colors = model.points[inside], model.point_colors[inside]
                 sparse = initial.sparse_cloud(points, colors, [ph.camera for ph in photos], rng)
@@ -144,11 +155,11 @@ class TrainableField:
 
     def _background(
         self, model: SparseModel, photos: list[TrainingPhoto], rng: np.random.Generator
-    ) -> TrainableSet:
+    ) -> dict[str, Tensor]:
         cameras = [photo.camera for photo in photos]
         mean = torch.stack([photo.rgb.float().mean((1, 2)) for photo in photos]).mean(0) / 255
         cloud = initial.sky_cloud(model.ball, cameras, mean.double().numpy())
-        outside = ~self._inside(torch.from_numpy(model.points), margin=1.0).numpy()
+        outside = ~self.around.objects(torch.from_numpy(model.points)).numpy()
         if outside.any():
             points, colors = model.points[outside], model.point_colors[outside]
             cloud = initial.joined(cloud, initial.sparse_cloud(points, colors, cameras, rng))
@@ -157,12 +168,7 @@ class TrainableField:
         sh = torch.zeros(len(cloud.points), 12)
         sh[:, :3] = (torch.tensor(cloud.colors, dtype=torch.float32) - 0.5) / 0.28209479177387814
         raw["sh"] = sh
-        return self._set(raw)
-
-    def _inside(self, points: Tensor, margin: float = BALL_MARGIN) -> Tensor:
-        center = torch.tensor(self.ball.center, dtype=points.dtype, device=points.device)
-        near: Tensor = (points - center).norm(dim=-1) <= margin * self.ball.radius
-        return near
+        return raw
 
     def set_rates(self, fraction: float) -> None:
         """Centres slow down log-linearly to 1/100 over the run, all else at its end."""
@@ -228,11 +234,15 @@ class TrainableField:
         Args:
             rates: on a GPU, instead of those of `set_rates`; see `adam_step`.
         """
-        step_all(self._sets(), self.shader_optimizer, misfit, rates)
+        step_all(self._sets(), self._modules(), misfit, rates)
 
     def optimizers(self) -> list[torch.optim.Adam]:
         """Those that `step` steps, in its order."""
-        return all_optimizers(self._sets(), self.shader_optimizer)
+        return all_optimizers(self._sets(), self._modules())
+
+    def _modules(self) -> list[torch.optim.Adam]:
+        fitted = [] if self.exposures is None else [self.exposures.optimizer]
+        return self.shader_optimizer + fitted
 
     def statistics(self) -> list[Tensor]:
         """What `observe` adds to."""
@@ -269,9 +279,10 @@ class TrainableField:
         rules = DensityRules(
             p.densify_gradient, size, LARGEST * self.extent, self.faintest, self.most
         )
-        densify(self.geometry, rules, self._inside(self.geometry.raw["means"].detach()), rng)
+        own = self.around.objects(self.geometry.raw["means"].detach(), BALL_MARGIN)
+        densify(self.geometry, rules, own, rng)
         if self.local is not None and iteration > p.local_from * p.iterations + p.densify_every:
-            near = self._inside(self.local.raw["means"].detach(), 4.0)
+            near = self.around.near(self.local.raw["means"].detach(), 4.0)
             opacity = p.local_prune_opacity
             local = DensityRules(
                 p.densify_gradient, size, LARGEST * self.extent, opacity, self.most_local
@@ -281,7 +292,7 @@ class TrainableField:
             means = self.background.raw["means"].detach()
             opacity = min(p.prune_opacity, FAINT)
             rules = DensityRules(p.densify_gradient, size, math.inf, opacity, p.background_surfels)
-            densify(self.background, rules, ~self._inside(means, 1.0), rng)
+            densify(self.background, rules, ~self.around.objects(means), rng)
 
     def _sets(self) -> list[TrainableSet]:
         return [s for s in (self.geometry, self.local, self.background) if s is not None]
@@ -295,6 +306,8 @@ class TrainableField:
         out: dict[str, Tensor] = {}
         for name, group in self._named_sets().items():
             out |= {f"{name}/{k}": v for k, v in group.state().items()}
+        if self.exposures is not None:
+            out |= {f"exposures/{k}": v for k, v in self.exposures.state().items()}
         if self.shader is not None:
             moments = self.shader_optimizer[0].state
             for k, v in self.shader.named_parameters():
@@ -305,19 +318,16 @@ class TrainableField:
     def restore(self, state: dict[str, Tensor]) -> None:
         """Inverse of `state`."""
         for name, group in self._named_sets().items():
-            prefix = f"{name}/"
-            group.restore({k[len(prefix) :]: v for k, v in state.items() if k.startswith(prefix)})
+            group.restore(_below(f"{name}/", state))
+        if self.exposures is not None:
+            self.exposures.restore(_below("exposures/", state))
         if self.shader is None:
             return
         with torch.no_grad():
             for k, v in self.shader.named_parameters():
                 v.copy_(state[f"shader/{k}"])
-                prefix = f"shader-adam/{k}/"
-                moments = {
-                    n[len(prefix) :]: t.to(v.device, copy=True)
-                    for n, t in state.items()
-                    if n.startswith(prefix)
-                }
+                given = _below(f"shader-adam/{k}/", state)
+                moments = {n: t.to(v.device, copy=True) for n, t in given.items()}
                 if moments:
                     self.shader_optimizer[0].state[v] = moments
 
@@ -341,10 +351,15 @@ class TrainableField:
         return SurfelField(self.geometry.freeze(), local, background, model, self.near)
 
 
-def _covered_pixels(model: SparseModel, photos: list[TrainingPhoto], *, masked: bool) -> float:
+def _below(prefix: str, state: dict[str, Tensor]) -> dict[str, Tensor]:
+    """What is named with this prefix, without it."""
+    return {k.removeprefix(prefix): v for k, v in state.items() if k.startswith(prefix)}
+
+
+def _covered_pixels(model: SparseModel, photos: list[TrainingPhoto]) -> float:
     """Pixels of the object in the mean photo; without masks, half of the ball's disc."""
     masks = [photo.mask for photo in photos if photo.mask is not None]
-    if masked and masks:
+    if masks:
         return float(np.mean([float((mask > 127).sum()) for mask in masks]))
     discs = []
     for photo in photos:

@@ -192,6 +192,11 @@ def joined(*clouds: Cloud) -> Cloud:
     )
 
 
+def chosen(cloud: Cloud, which: NDArray[np.bool_]) -> Cloud:
+    """Some of the discs."""
+    return Cloud(*(getattr(cloud, n)[which] for n in ("points", "normals", "sizes", "colors")))
+
+
 def neighbour_sizes(points: F64) -> F64:
     """(N,) 0.5 of the root mean squared distance to the three nearest neighbours."""
     if len(points) < 4:

@@ -22,3 +22,12 @@ def normal_smoothness(normal: Tensor, diffuse: Tensor, depth: Tensor, alpha: Ten
         return (step(normal).abs().sum(-1) * torch.exp(-edge) * both).mean()
 
     return along(0) + along(1)
+
+
+def out_of_place(alpha: Tensor, beyond: Tensor) -> Tensor:
+    """Mean cross-entropy of (H, W) alpha against nothing where it is known that nothing is.
+
+    Args:
+        beyond: (H, W) bool; other pixels count as right.
+    """
+    return -(torch.log1p(-alpha.clamp(0, 1 - 1e-4)) * beyond).mean()

@@ -23,6 +23,8 @@ class TrainingPhoto:
         mask: (H, W) uint8, or None.
         valid: (H, W) bool, or None when all are.
         held: (2, K) rows and columns of pixels that are measured and never trained on, or None.
+        beyond: (H, W) bool where the object is known not to be although there is no mask, or None.
+        which: (P,) 1 at the photo's place among P whose exposures are fitted, 0 elsewhere; or None.
     """
 
     camera: Camera
@@ -31,13 +33,18 @@ class TrainingPhoto:
     mask: Tensor | None
     valid: Tensor | None
     held: Tensor | None = None
+    which: Tensor | None = None
+    beyond: Tensor | None = None
 
     def to(self, device: str) -> "TrainingPhoto":
         """The photo with its pixels on a device; the camera stays."""
         mask = None if self.mask is None else self.mask.to(device)
         valid = None if self.valid is None else self.valid.to(device)
         held = None if self.held is None else self.held.to(device)
-        return replace(self, rgb=self.rgb.to(device), mask=mask, valid=valid, held=held)
+        which = None if self.which is None else self.which.to(device)
+        beyond = None if self.beyond is None else self.beyond.to(device)
+        photo = replace(self, rgb=self.rgb.to(device), mask=mask, valid=valid, held=held)
+        return replace(photo, which=which, beyond=beyond)
 
 
 def load_training_photos(
@@ -82,16 +89,25 @@ def shrunk(photo: TrainingPhoto, scale: float) -> TrainingPhoto:
             rgb, mask[..., None] / 255, out=np.zeros_like(rgb), where=mask[..., None] > 0.5
         )
         small = torch.from_numpy(np.rint(mask).astype(np.uint8))
-    valid = None
-    if photo.valid is not None:
-        grown = cv2.resize(
-            photo.valid.numpy().astype(np.float32), (width, height), interpolation=cv2.INTER_AREA
-        )
-        valid = torch.from_numpy(grown > 0.999)
+    valid, beyond = (_all_within(of, width, height) for of in (photo.valid, photo.beyond))
     camera = photo.camera.resized(width, height)
     pixels = np.ascontiguousarray(np.rint(rgb.clip(0, 255)).astype(np.uint8).transpose(2, 0, 1))
     pinhole = Pinhole.of(camera, photo.pinhole.near)
-    return TrainingPhoto(camera, pinhole, torch.from_numpy(pixels), small, valid)
+    rgb_tensor = torch.from_numpy(pixels)
+    reduced = TrainingPhoto(camera, pinhole, rgb_tensor, small, valid)
+    return replace(reduced, which=photo.which, beyond=beyond)
+
+
+def _all_within(which: Tensor | None, width: int, height: int) -> Tensor | None:
+    """(height, width) whether every pixel of (H, W) bool that goes into a new one is true."""
+    import cv2
+
+    if which is None:
+        return None
+    grown = cv2.resize(
+        which.numpy().astype(np.float32), (width, height), interpolation=cv2.INTER_AREA
+    )
+    return torch.from_numpy(grown > 0.999)
 
 
 def _shrunk_there(photo: TrainingPhoto, width: int, height: int) -> TrainingPhoto:
@@ -102,7 +118,7 @@ def _shrunk_there(photo: TrainingPhoto, width: int, height: int) -> TrainingPhot
         columns = area_weights(planes.shape[-1], width).to(planes.device)
         return rows @ planes @ columns.T
 
-    rgb, mask, valid = photo.rgb.float(), photo.mask, photo.valid
+    rgb, mask = photo.rgb.float(), photo.mask
     if mask is not None:
         whole = mask.float()
         rgb, whole = small(rgb * (whole / 255)), small(whole)
@@ -110,11 +126,20 @@ def _shrunk_there(photo: TrainingPhoto, width: int, height: int) -> TrainingPhot
         mask = whole.round().to(torch.uint8)
     else:
         rgb = small(rgb)
-    if valid is not None:
-        valid = small(valid.float()) > 0.999
+    valid, beyond = (
+        None if of is None else small(of.float()) > 0.999 for of in (photo.valid, photo.beyond)
+    )
     camera = photo.camera.resized(width, height)
     pinhole = Pinhole.of(camera, photo.pinhole.near)
-    return TrainingPhoto(camera, pinhole, rgb.clamp(0, 255).round().to(torch.uint8), mask, valid)
+    pixels = rgb.clamp(0, 255).round().to(torch.uint8)
+    reduced = TrainingPhoto(camera, pinhole, pixels, mask, valid)
+    return replace(reduced, which=photo.which, beyond=beyond)
+
+
+def numbered(photos: list[TrainingPhoto]) -> list[TrainingPhoto]:
+    """The photos, each with its place among them."""
+    places = torch.eye(len(photos))
+    return [replace(photo, which=place) for photo, place in zip(photos, places, strict=True)]
 
 
 def area_weights(large: int, small: int) -> Tensor:

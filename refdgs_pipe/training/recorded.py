@@ -62,6 +62,8 @@ class Buffers:
             rgb=like.rgb.clone(),
             mask=None if like.mask is None else like.mask.clone(),
             valid=None if like.valid is None else like.valid.clone(),
+            beyond=None if like.beyond is None else like.beyond.clone(),
+            which=None if like.which is None else like.which.clone(),
             held=None,
         )
 
@@ -79,6 +81,8 @@ class Buffers:
             (mine.rgb, photo.rgb),
             (mine.mask, photo.mask),
             (mine.valid, photo.valid),
+            (mine.which, photo.which),
+            (mine.beyond, photo.beyond),
         ):
             if to is not None and given is not None:
                 to.copy_(given, non_blocking=True)

@@ -139,6 +139,18 @@ class TrainParams(Params):
         0.05, ge=0, le=10, description="dB on held-out pixels that count as a gain"
     )
 
+    exposure: Literal["fixed", "fitted"] = Field(
+        "fixed",
+        description="fitted: where the background is photographed, each photo has a factor for how "
+        "bright it is; fixed: all were exposed alike",
+    )
+    exposure_weight: float = Field(
+        0.05, ge=0, le=10, description="weight of the squared logarithm of a photo's factor"
+    )
+    rate_exposure: float = Field(
+        0.002, gt=0, le=1, description="step of the logarithms of the photos' factors"
+    )
+
     ssim_share: float = Field(0.2, ge=0, le=1, description="share of 1 - SSIM in the image loss")
     mask_weight: float = Field(
         0.1, ge=0, le=10, description="weight of the alpha's cross-entropy against masks"
@@ -163,6 +175,18 @@ class TrainParams(Params):
         ge=0,
         le=10,
         description="weight of normal smoothness away from diffuse and depth edges",
+    )
+    ground: Literal["background", "object"] = Field(
+        "background",
+        description="what the surface that the object stands on belongs to, where there are no "
+        "masks and sparse points show one",
+    )
+    look_steps: int = Field(
+        1000,
+        ge=0,
+        le=100_000,
+        description="steps at the coarse scale in which the object is looked for, where there are "
+        "no masks; 0: none, and surfels start throughout the ball",
     )
     start: Literal["hull", "volume", "carved", "ball"] = Field(
         "carved",

@@ -1,6 +1,6 @@
 """One step: draw a photo's view, compare, go back, and update everything."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from torch import Tensor
 
@@ -59,7 +59,11 @@ def take_step(
     scene = field.scene(photo.pinhole, fraction)
     picture = draw(scene, photo.pinhole, backdrop, extra=extra, plan=plan)
     target = composited(photo.rgb, photo.mask, backdrop)
+    if field.exposures is not None and photo.which is not None:
+        picture = replace(picture, image=picture.image * field.exposures.factor(photo.which))
     loss, error = _loss(p, picture, photo, target)
+    if field.exposures is not None and photo.which is not None:
+        loss = loss + p.exposure_weight * field.exposures.strangeness(photo.which)
     loss.backward()  # type: ignore[no-untyped-call]
     misfit = None if plan is None else plan.misfit
     field.observe(picture, photo.pinhole.width, misfit)
@@ -77,6 +81,8 @@ def _loss(
     # weights go in, so that backward has nothing to scale
     if photo.mask is not None and p.mask_weight > 0:
         loss = loss + mask_entropy(maps.alpha, photo.mask, weight=p.mask_weight)
+    if photo.beyond is not None and p.mask_weight > 0:
+        loss = loss + p.mask_weight * losses.out_of_place(picture.object_alpha, photo.beyond)
     if p.normal_weight > 0 and maps.normal is not None and maps.depth is not None:
         loss = loss + normal_agreement(
             maps.normal,

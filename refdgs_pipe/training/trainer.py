@@ -22,7 +22,8 @@ from refdgs_pipe.ops.plan import Asked
 from refdgs_pipe.training.checkpoint import read_checkpoint, write_checkpoint
 from refdgs_pipe.training.coverage import coverage
 from refdgs_pipe.training.field import TrainableField
-from refdgs_pipe.training.photos import TrainingPhoto, load_training_photos, shrunk
+from refdgs_pipe.training.look import Look, look
+from refdgs_pipe.training.photos import TrainingPhoto, load_training_photos, numbered, shrunk
 from refdgs_pipe.training.plateau import Plateau, hold_out
 from refdgs_pipe.training.recorded import RecordedSteps
 from refdgs_pipe.training.settings import TrainParams
@@ -79,16 +80,25 @@ class Trainer:
         self.rng = torch.Generator().manual_seed(params.seed)
         torch.manual_seed(params.seed)
         self.masked = views.background != "photo"
+        seen = Look(photos, None)
+        if not self.masked and params.look_steps > 0:
+            seen = look(
+                params, model, photos, scratch, near=self.near, device=device, progress=starting
+            )
+            photos = seen.limited
         self.field = TrainableField(
             params,
             model,
-            photos,
+            seen.photos,
             masked=self.masked,
             near=self.near,
             device=device,
+            behind=seen.background,
             restored=read_checkpoint(scratch) is not None,
             progress=starting,
         )
+        if self.field.exposures is not None:
+            photos = numbered(photos)
         if params.patience > 0:
             photos = hold_out(photos, params.seed)
         self.full = [photo.to(device) for photo in photos]

@@ -65,6 +65,14 @@ def test_a_box_is_cut_from_the_table_and_keeps_its_size() -> None:
     assert rim.length == pytest.approx(2.0, abs=0.01) and abs(rim.center[2]) < 2e-3
 
 
+def test_the_shoulder_of_an_object_without_a_table_is_no_table() -> None:
+    shoulder = box((-0.5, -0.5, 0.0), (0.5, 0.5, 0.6))
+    knob = box((-0.1, -0.1, 0.6), (0.1, 0.1, 0.85))
+    assert find_support(joined(shoulder, knob), UP, SIZE) is None
+    support = find_support(joined(table(), upper(knob, 0.61), upper(shoulder, 0.01)), UP, SIZE)
+    assert support is not None and abs(support.offset) < 1e-3
+
+
 def test_the_same_mesh_gives_the_same_plane() -> None:
     mesh = joined(table(noise=0.005), CRATE)
     first, second = found(mesh), found(mesh)

@@ -27,6 +27,7 @@ from refdgs_pipe.training.trainer import Trainer
 
 SMALL = TrainParams(
     volume_steps=10,
+    look_steps=0,
     iterations=60,
     surfels=1500,
     max_surfels=2500,

@@ -1,0 +1,174 @@
+"""A first look at photos without masks: where the object is, and what lies behind it.
+
+Started throughout the ball, surfels that must make one sharp surface at once make it of the ball:
+a crystal ball that shows the object as its reflection. A short run that asks for no sharp surface
+finds the object instead; what it covers stands for masks when the start is looked for.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from safetensors.torch import load_file, save_file
+from torch import Tensor
+
+from refdgs_pipe.artifacts.sparse_model import SparseModel
+from refdgs_pipe.training.field import TrainableField
+from refdgs_pipe.training.photos import TrainingPhoto, shrunk
+from refdgs_pipe.training.settings import TrainParams
+from refdgs_pipe.training.shading import draw
+from refdgs_pipe.training.step import take_step
+
+Progress = Callable[[int, int], None]
+"""Told the steps done and their number; may raise."""
+
+_LEAST = 0.002  # of the median photo, that an object covers
+_REACH = 0.0075  # of the longer side: masks that were found are blurred by less
+_FILE = "look.safetensors"
+_GENTLE = {
+    "reflection": True,  # without it, mirrors are lost, and what is matte is found as well with it
+    "local": "dual",
+    "start": "ball",
+    "normal_weight": 0.05,
+    "normal_edge": 1000.0,
+    "distortion_weight": 0.0,
+    "local_from": 0.1,
+    "anneal_from": 1.0,
+    "prune_opacity": 0.05,
+    "split_size": 0.01,
+    "rate_means": 1.6e-4,
+    "rate_diffuse": 0.01,
+    "rate_environment": 0.002,
+    "rate_shader": 5e-4,
+    "rate_features": 0.002,
+    "look_steps": 0,
+}
+
+
+@dataclass(frozen=True)
+class Look:
+    """What was found.
+
+    Args:
+        photos: those that were given, each with the object as its mask; without, if none was found.
+        background: what lies behind the object, as `TrainableSet.raw` has it; None without a look.
+    """
+
+    photos: list[TrainingPhoto]
+    background: dict[str, Tensor] | None
+
+    @property
+    def limited(self) -> list[TrainingPhoto]:
+        """The photos as they were given, with what the look saw no object near."""
+        return [
+            replace(photo, mask=None, beyond=None if photo.mask is None else _beyond(photo.mask))
+            for photo in self.photos
+        ]
+
+
+def look(
+    params: TrainParams,
+    model: SparseModel,
+    photos: list[TrainingPhoto],
+    scratch: Path,
+    *,
+    near: float,
+    device: str = "cpu",
+    progress: Progress | None = None,
+) -> Look:
+    """Find the object in photos without masks; what was found stays in `scratch`.
+
+    Args:
+        photos: on the CPU, without masks.
+        near: depth before which nothing is drawn, world units.
+    """
+    kept = scratch / _FILE
+    if not kept.is_file():
+        _keep(kept, params, model, photos, near=near, device=device, progress=progress)
+    tensors = load_file(kept)
+    masks = [tensors.pop(f"mask {i}").numpy() for i in range(len(photos))]
+    shown = float(np.median([(mask > 127).mean() for mask in masks]))
+    if shown < _LEAST:  # then nothing is known, and surfels start throughout the ball
+        return Look(photos, tensors)
+    return Look(_with_masks(photos, masks), tensors)
+
+
+def _keep(
+    path: Path,
+    params: TrainParams,
+    model: SparseModel,
+    photos: list[TrainingPhoto],
+    *,
+    near: float,
+    device: str,
+    progress: Progress | None,
+) -> None:
+    """Look, and write what was found."""
+    small = [shrunk(photo, params.coarse) for photo in photos]
+    field = _looked(params, model, small, near, device, progress)
+    assert field.background is not None
+    tensors = {name: raw.detach().cpu() for name, raw in field.background.raw.items()}
+    masks = [torch.from_numpy(_covered(field, photo.to(device))) for photo in small]
+    tensors |= {f"mask {i}": mask for i, mask in enumerate(masks)}
+    part = path.with_suffix(".part")
+    save_file(tensors, part)
+    part.replace(path)
+
+
+def _looked(
+    params: TrainParams,
+    model: SparseModel,
+    photos: list[TrainingPhoto],
+    near: float,
+    device: str,
+    progress: Progress | None,
+) -> TrainableField:
+    """The field of a short run that asks for no sharp surface."""
+    steps = params.look_steps
+    gentle = params.model_copy(update={**_GENTLE, "iterations": steps})
+    field = TrainableField(gentle, model, photos, masked=False, near=near, device=device)
+    photos = [photo.to(device) for photo in photos]
+    rng = torch.Generator().manual_seed(params.seed)
+    backdrop = torch.zeros(3, device=device)
+    for step in range(steps):
+        if progress is not None and step % 10 == 0:
+            progress(step, steps)
+        field.set_rates(step / steps)
+        photo = photos[int(torch.randint(len(photos), (1,), generator=rng))]
+        take_step(field, photo, backdrop, step / steps)
+        if field.adapts(step + 1):
+            field.adapt(step + 1, rng)
+    return field
+
+
+def _covered(field: TrainableField, photo: TrainingPhoto) -> np.ndarray:
+    """(H, W) uint8 how much of each pixel the object covers."""
+    with torch.no_grad():
+        scene = field.scene(photo.pinhole, 1.0)
+        picture = draw(scene, photo.pinhole, torch.zeros(3, device=photo.rgb.device))
+    alpha = picture.object_alpha.clamp(0, 1).cpu().numpy()
+    return np.asarray(np.rint(255 * alpha), np.uint8)
+
+
+def _beyond(mask: Tensor) -> Tensor:
+    """(H, W) bool where the mask covers nothing, not even near by."""
+    import cv2
+
+    reach = max(1, round(_REACH * max(mask.shape)))
+    kernel = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+    near = cv2.dilate((mask.numpy() > 127).astype(np.uint8), kernel)
+    return torch.from_numpy(near == 0)
+
+
+def _with_masks(photos: list[TrainingPhoto], masks: list[np.ndarray]) -> list[TrainingPhoto]:
+    """The photos with masks of any size."""
+    import cv2
+
+    out = []
+    for photo, mask in zip(photos, masks, strict=True):
+        size = (photo.camera.width, photo.camera.height)
+        large = cv2.resize(mask, size, interpolation=cv2.INTER_LINEAR)
+        out.append(replace(photo, mask=torch.from_numpy(np.ascontiguousarray(large))))
+    return out

@@ -1,0 +1,148 @@
+"""Photos without masks: what is the object's, what is the ground's, and where to start."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file, save_file
+from scenes import glossy_pair
+from training.test_trainer import SMALL, capture, model_of, quiet
+
+from refdgs_pipe.artifacts.sparse_model import SparseModel
+from refdgs_pipe.errors import Cancelled
+from refdgs_pipe.training.ground import Surroundings
+from refdgs_pipe.training.look import Look, look
+from refdgs_pipe.training.losses import out_of_place
+from refdgs_pipe.training.photos import load_training_photos, shrunk
+from refdgs_pipe.training.step import NEAR
+from refdgs_pipe.training.trainer import Trainer
+
+LOOKING = SMALL.model_copy(update={"look_steps": 120, "coarse": 1.0})
+RADIUS = 1.6
+
+
+def on_a_table(share: float) -> SparseModel:
+    """A model of 200 sparse points of which a share lies on the plane z = 0."""
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-2, 2, (200, 3))
+    points[: int(200 * share), 2] = rng.normal(0, 0.002, int(200 * share))
+    return model_of([], points)
+
+
+def test_the_ground_under_photos_is_not_the_objects() -> None:
+    around = Surroundings(on_a_table(0.5), ground=True)
+    points = torch.tensor([[0.1, 0.2, 0.0], [0.1, 0.2, 0.1], [0.1, 0.2, -0.5], [0, 0, 1.7]])
+    assert around.objects(points).tolist() == [False, True, False, False]
+    assert around.objects(points, 1.1).tolist() == [False, True, False, True]
+
+
+def test_without_points_on_it_or_if_not_wanted_there_is_no_ground() -> None:
+    below = torch.tensor([[0.1, 0.2, -0.5]])
+    assert Surroundings(on_a_table(0.05), ground=True).objects(below).all()
+    assert Surroundings(on_a_table(0.5), ground=False).objects(below).all()
+
+
+def test_surfels_start_where_the_look_found_the_object(tmp_path: Path) -> None:
+    views, model = capture(tmp_path / "views", masked=False)
+    photos = load_training_photos(views, model, max_side=64, near=NEAR)
+    params = LOOKING.model_copy(update={"look_steps": 1, "start": "hull"})
+    look(params, model, photos, tmp_path, near=NEAR)
+    kept = {name: t.clone() for name, t in load_file(tmp_path / "look.safetensors").items()}
+    for i, photo in enumerate(photos):
+        alpha = glossy_pair().surface_map(photo.camera).alpha
+        kept[f"mask {i}"] = torch.from_numpy(np.round(alpha * 255).astype(np.uint8))
+    save_file(kept, tmp_path / "look.safetensors")
+    trainer = Trainer(views, model, params, tmp_path)
+    assert trainer.full[0].mask is None  # a mask that was found is not a mask that is kept to
+    seen = trainer.field.geometry.raw["means"].detach().double().numpy()
+    uv, _ = photos[0].camera.project(seen)
+    column, row = np.floor(uv[((uv >= 0) & (uv < 64)).all(1)]).astype(int).T
+    inside = kept["mask 0"].numpy()[row, column] > 0
+    assert inside.mean() > 0.6  # 0.25 throughout the ball; cells off some photos survive
+
+
+def test_what_was_found_is_not_looked_for_again(tmp_path: Path) -> None:
+    views, model = capture(tmp_path / "views", masked=False)
+    photos = load_training_photos(views, model, max_side=64, near=NEAR)
+    params = LOOKING.model_copy(update={"look_steps": 5})
+    first = look(params, model, photos, tmp_path, near=NEAR)
+
+    def never(done: int, total: int) -> None:
+        raise AssertionError("it looked again")
+
+    again = look(params, model, photos, tmp_path, near=NEAR, progress=never)
+    assert first.background is not None and again.background is not None
+    torch.testing.assert_close(first.background["sh"], again.background["sh"], rtol=0, atol=0)
+    for a, b in zip(first.photos, again.photos, strict=True):
+        assert a.mask is not None and b.mask is not None
+        assert torch.equal(a.mask, b.mask)
+
+
+def test_a_run_without_masks_ends_alike_wherever_it_was_stopped(tmp_path: Path) -> None:
+    views, model = capture(tmp_path / "views", masked=False, size=32)
+    small = {"look_steps": 20, "iterations": 20, "volume_steps": 0, "start": "hull"}
+    params = LOOKING.model_copy(update=small)
+    for name in "ab":
+        (tmp_path / name).mkdir()
+    whole = Trainer(views, model, params, tmp_path / "a").run(quiet)
+
+    def stop_looking(done: int, total: int) -> None:
+        if done == 10:
+            raise Cancelled("enough")
+
+    def stop_training(done: int, total: int, note: str, work: float) -> None:
+        if done == 10:
+            raise Cancelled("enough")
+
+    with pytest.raises(Cancelled):
+        Trainer(views, model, params, tmp_path / "b", starting=stop_looking)
+    with pytest.raises(Cancelled):
+        Trainer(views, model, params, tmp_path / "b").run(stop_training)
+    resumed = Trainer(views, model, params, tmp_path / "b").run(quiet)
+    np.testing.assert_array_equal(whole.geometry.means, resumed.geometry.means)
+    np.testing.assert_array_equal(whole.background.means, resumed.background.means)
+
+
+def test_masks_that_are_there_are_not_looked_for(tmp_path: Path) -> None:
+    views, model = capture(tmp_path / "views")
+    Trainer(views, model, LOOKING, tmp_path)
+    assert not list(tmp_path.glob("look*"))
+
+
+def test_a_look_that_finds_nothing_forbids_nothing(tmp_path: Path) -> None:
+    views, model = capture(tmp_path / "views", masked=False, size=32)
+    params = LOOKING.model_copy(update={"look_steps": 1})
+    photos = load_training_photos(views, model, max_side=32, near=NEAR)
+    look(params, model, photos, tmp_path, near=NEAR)
+    kept = {name: t.clone() for name, t in load_file(tmp_path / "look.safetensors").items()}
+    kept |= {name: torch.zeros_like(t) for name, t in kept.items() if name.startswith("mask")}
+    save_file(kept, tmp_path / "look.safetensors")
+    found = look(params, model, photos, tmp_path, near=NEAR)
+    assert all(photo.mask is None for photo in found.photos)
+    assert all(photo.beyond is None for photo in found.limited)
+
+
+def test_only_what_lies_beyond_the_object_costs() -> None:
+    alpha = torch.tensor([[0.0, 0.5], [0.5, 1.0]], dtype=torch.float64, requires_grad=True)
+    beyond = torch.tensor([[True, True], [False, False]])
+    loss = out_of_place(alpha, beyond)
+    assert loss.item() == pytest.approx(np.log(2) / 4)
+    loss.backward()
+    assert alpha.grad is not None
+    assert alpha.grad.tolist() == [[0.25, 0.5], [0, 0]]
+
+
+def test_a_look_says_where_nothing_of_the_object_is_near(tmp_path: Path) -> None:
+    views, model = capture(tmp_path / "views", masked=False)
+    (photo, *_) = load_training_photos(views, model, max_side=64, near=NEAR)
+    mask = torch.zeros(64, 64, dtype=torch.uint8)
+    mask[20:40, 20:40] = 255
+    (seen,) = Look([replace(photo, mask=mask)], None).limited
+    assert seen.mask is None and seen.beyond is not None
+    assert not seen.beyond[19:41, 19:41].any()
+    assert seen.beyond[:18].all() and seen.beyond[:, 42:].all()
+    half = shrunk(seen, 0.5).beyond
+    assert half is not None and half.shape == (32, 32)
+    assert not half[9:21, 9:21].any() and half[:9].all()
