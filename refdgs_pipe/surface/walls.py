@@ -25,6 +25,7 @@ _TURNED = 0.3  # least share of a move that the eye sees as one across the outli
 _PASSES = 40  # of averaging what is known along the rim
 _REST = 0.2  # views that say that the rim is right as it is
 _REACH = 4.0  # walls are at most this high, in `limit`
+_LEVEL = 0.5  # of `limit`: rims that leave their plane by more are torn, not the edge of a part
 _LEAST = 0.3  # pixels: lower walls are noise
 
 
@@ -61,7 +62,8 @@ def with_walls(
     for number in np.bincount(loop).argsort()[::-1]:
         here = loop == number
         needed = 2 * int(here.sum())
-        if needed <= left and np.median(height[here] / pixel[here]) > _LEAST:
+        level = (mesh.vertices[rim.vertices[here]] * down[here]).sum(1).std() < _LEVEL * limit
+        if level and needed <= left and np.median(height[here] / pixel[here]) > _LEAST:
             chosen |= here
             left -= needed
     if not chosen.any():

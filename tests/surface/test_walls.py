@@ -91,3 +91,9 @@ def test_walls_keep_to_the_budget_of_faces() -> None:
 def test_a_closed_mesh_has_no_rim_to_stand_a_wall_on() -> None:
     ball = sphere(16)
     assert with_walls(ball, outlines(coin()), limit=LIMIT, faces=10**6) is ball
+
+
+def test_a_torn_rim_gets_no_wall() -> None:
+    torn = disc()
+    torn.vertices[-AROUND:, 2] += np.random.default_rng(0).uniform(-0.1, 0.1, AROUND)
+    assert with_walls(torn, outlines(coin()), limit=LIMIT, faces=5000) is torn
