@@ -26,6 +26,10 @@ class Hits:
     weights: F32
     distance: F32
 
+    def chosen(self, which: Ints | slice) -> "Hits":
+        """Some of them."""
+        return Hits(self.rays[which], self.face[which], self.weights[which], self.distance[which])
+
 
 class Solid:
     """A mesh that rays can meet.

@@ -7,6 +7,7 @@ from refdgs_pipe.artifacts.mesh import UvMesh
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.surfel_field import SurfelField
 from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
+from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.params import Params
 from refdgs_pipe.pipeline.stage import Job, stage
 
@@ -14,15 +15,9 @@ from refdgs_pipe.pipeline.stage import Job, stage
 class BakeParams(Params):
     """The textures."""
 
-    size: int = Field(
-        2048, ge=64, le=8192, description="side of the textures, in texels; a power of two"
-    )
-    tolerance: float = Field(
-        0.01,
-        gt=0,
-        le=0.2,
-        description="how far mesh and field may lie apart, in diameters of the object ball",
-    )
+    size: int = Field(2048, ge=64, le=8192, description="texels along a side; a power of two")
+    tolerance: float = Field(0.01, gt=0, le=0.2, description="mesh to field, in ball diameters")
+    refine: bool = Field(True, description="correct base colours by the photos, in the light found")
 
     @field_validator("size")
     @classmethod
@@ -32,28 +27,34 @@ class BakeParams(Params):
         return size
 
 
-@stage(version=4, programs=("open3d-cpu",))
+@stage(version=5, programs=("open3d-cpu", "scipy"))
 def bake(
     mesh: UvMesh,
     looks: Appearance,
     field: SurfelField,
     model: SparseModel,
+    views: Views,
     params: BakeParams,
     job: Job,
 ) -> TexturedMesh:
-    """Gather what all cameras see of every texel, free of reflections."""
+    """Gather what all cameras see of every texel, free of reflections; then look at the photos."""
+    from refdgs_pipe.artifacts.photos import load_photo
     from refdgs_pipe.texture.material import Painter
+    from refdgs_pipe.texture.refining import refined
     from refdgs_pipe.training.render import render_surface_map
 
-    painter = Painter(mesh, params.size, tolerance=params.tolerance * 2 * model.ball.radius)
+    tolerance = params.tolerance * 2 * model.ball.radius
+    painter = Painter(mesh, params.size, tolerance=tolerance)
     for camera in job.track(model.cameras, "gathering texels"):
         painter.add(render_surface_map(field, camera, device=job.device, threads=job.threads))
     textured = painter.paint(looks)
     job.measure("texture size", params.size, "px")
     job.measure("texels seen", round(painter.seen_share, 4))
     if painter.seen_share < 0.9:
-        job.warn(
-            f"{1 - painter.seen_share:.0%} of the surface was seen by no camera; its colours "
-            "are filled in from beside it"
-        )
-    return textured
+        unseen = f"{1 - painter.seen_share:.0%} of the surface"
+        job.warn(f"{unseen} was seen by no camera; its colours are filled in from beside it")
+    if not params.refine or looks.environment is None:
+        return textured
+    cameras = [c for c in model.cameras if c.split == "train"] or list(model.cameras)
+    photos = (load_photo(views, model, c) for c in job.track(cameras, "comparing with photos"))
+    return refined(textured, looks.environment, photos, near=tolerance, count=len(cameras))

@@ -1,5 +1,6 @@
 """Turn the fused mesh into one clean surface within a face budget."""
 
+from dataclasses import replace
 from functools import partial
 from typing import Literal
 
@@ -21,15 +22,11 @@ class CleanParams(Params):
     )
     hole: float = Field(0.15, ge=0, le=10, description="shorter rims are closed, in ball diameters")
     smoothing: int = Field(5, ge=0, le=200, description="smoothing steps (Taubin), a count")
-    outlines: int = Field(
-        3, ge=0, le=20, description="times that the mesh is fitted to its views, a count"
-    )
-    faces: int = Field(
-        50_000, ge=100, le=5_000_000, description="the most triangles the mesh may have, a count"
-    )
+    outlines: int = Field(3, ge=0, le=20, description="fits of the mesh to its views, a count")
+    faces: int = Field(50_000, ge=100, le=5_000_000, description="the most triangles, a count")
 
 
-@stage(version=4, programs=("pymeshlab", "open3d-cpu"))
+@stage(version=5, programs=("pymeshlab", "open3d-cpu"))
 def clean(
     raw: RawMesh, field: SurfelField, model: SparseModel, params: CleanParams, job: Job
 ) -> Mesh:
@@ -48,13 +45,15 @@ def clean(
         floater=params.floater * diameter,
         hole=params.hole * diameter,
         smoothing=params.smoothing,
-        faces=params.faces,
+        faces=params.faces - (params.faces // 16 if params.outlines else 0),  # walls come yet
         stop=job.stop,
     )
-    for name, value, unit in [*done.figures(), *support.figures(under)]:
-        job.measure(name, value, unit)
     if (lost := done.removed.area_share) > 0.2:
         job.warn(f"{lost:.0%} of the fused surface was loose pieces and is removed")
     # A removed table still covers what is behind the object: such outlines are too far to count.
     draw = partial(render_surface_map, field, device=job.device, threads=job.threads)
-    return fitted(done.mesh, model, draw, rounds=params.outlines, track=job.track)
+    limits = {"rounds": params.outlines, "faces": params.faces}
+    mesh = fitted(done.mesh, model, draw, **limits, track=job.track)
+    for name, value, unit in [*replace(done, mesh=mesh).figures(), *support.figures(under)]:
+        job.measure(name, value, unit)
+    return mesh

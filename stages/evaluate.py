@@ -41,9 +41,9 @@ def evaluate(
 ) -> Scores:
     """Score every held-out view (all, if none was held out), the clean mesh and its textures."""
     from refdgs_pipe.evaluation.lpips import load_lpips
-    from refdgs_pipe.evaluation.relight import relit
     from refdgs_pipe.evaluation.scoring import Drawing, Protocol, Subject, score
     from refdgs_pipe.evaluation.speed import Timed
+    from refdgs_pipe.relight import relit
     from refdgs_pipe.training.render import render_image, render_surface_map
 
     picture = Timed(partial(render_image, field, device=job.device, threads=job.threads))

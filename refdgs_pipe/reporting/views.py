@@ -95,7 +95,7 @@ def chosen_cameras(facts: Facts, model: SparseModel, count: int) -> list[Camera]
 
 def _relit(facts: Facts) -> Callable[[Camera], tuple[F32, F32]] | None:
     """What draws the textured mesh in its own light, if there are both."""
-    from refdgs_pipe.evaluation.relight import relit
+    from refdgs_pipe.relight import relit
 
     with suppress(RefdgsError):  # not made yet, or from an older version
         return relit(facts.load(TexturedMesh), facts.load(Appearance))

@@ -12,6 +12,7 @@ from refdgs_pipe.received import links_of
 from refdgs_pipe.surface.agreement import Pattern, disagreement
 from refdgs_pipe.surface.rims import fit_rims
 from refdgs_pipe.surface.silhouettes import MOST, Outline, outline_pull, spread_evenly
+from refdgs_pipe.surface.walls import with_walls
 from refdgs_pipe.tracing import Solid
 
 _LONGEST = 640  # pixels: more do not make an outline much sharper
@@ -26,12 +27,14 @@ def fitted(
     draw: Callable[[Camera], SurfaceMap],
     *,
     rounds: int,
+    faces: int,
     track: Callable[[list[Camera], str], Iterable[Camera]],
 ) -> Mesh:
-    """The mesh fitted to what training cameras see of the object.
+    """The mesh fitted to what training cameras see of the object, with walls below its rims.
 
     Args:
         draw: what a camera sees.
+        faces: the most that the mesh may have with its walls.
         track: wraps the cameras, to report progress under a label.
     """
     if not rounds:
@@ -44,6 +47,7 @@ def fitted(
         outlines.append(Outline.of(view.camera, view.alpha >= _COVERED))
         patterns.append(Pattern(view, near=limit))
     moved = fit_views(mesh, outlines, patterns, limit=limit, rounds=rounds)
+    moved = with_walls(moved, outlines, limit=limit, faces=faces)
     return Mesh(moved.vertices, moved.faces)
 
 

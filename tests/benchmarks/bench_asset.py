@@ -13,9 +13,11 @@ from scenes import Scene, Sphere, gradient_sky, orbit, waves
 from solids import sphere
 
 from refdgs_pipe.artifacts.mesh import Mesh
+from refdgs_pipe.artifacts.photos import Photo
 from refdgs_pipe.texture import charts, programs
 from refdgs_pipe.texture.material import Painter
 from refdgs_pipe.texture.programs import PROGRAMS, Program
+from refdgs_pipe.texture.refining import Refiner
 
 pytestmark = pytest.mark.benchmark
 FACES, VIEWS, SIZE = 50_000, 100, 1024
@@ -56,6 +58,18 @@ def test_bake() -> None:
         view = scene.surface_map(camera)
         drawing += time.process_time() - start
         painter.add(view)
-    painter.paint(appearance(mesh.vertices))
+    looks = appearance(mesh.vertices)
+    textured = painter.paint(looks)
     name = f"bake, {SIZE} texels, {VIEWS} views of 640 px, {len(mesh.faces)} faces"
     told(name, begin + drawing)
+
+    assert looks.environment is not None
+    refiner = Refiner(textured, looks.environment, near=0.1, photos=VIEWS)
+    for camera in orbit(VIEWS, size=640, focal=900):
+        start = time.process_time()
+        view = scene.surface_map(camera)
+        photo = Photo(camera, view.color, view.alpha, view.alpha >= 0)
+        drawing += time.process_time() - start
+        refiner.add(photo)
+    refiner.refined()
+    told(f"{name}, and corrected by the photos", begin + drawing)

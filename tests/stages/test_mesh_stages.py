@@ -40,7 +40,9 @@ def test_a_procedural_scene_becomes_files(run: Run, monkeypatch: pytest.MonkeyPa
     mesh: Mesh = run("clean", raw, FIELD, model, faces=8000)
     atlas: UvMesh = run("unwrap", mesh)
     looks = finished.appearance(mesh.vertices)
-    textured: TexturedMesh = run("bake", atlas, looks, FIELD, model, size=512)
+    textured: TexturedMesh = run(
+        "bake", atlas, looks, FIELD, model, photos(run), size=512, refine=False
+    )
     asset: Asset = run(
         "export",
         textured,
@@ -79,7 +81,9 @@ def test_what_the_user_should_know_is_said(run: Run, monkeypatch: pytest.MonkeyP
     raw = run("extract", FIELD, whole, voxel=0.02)
     mesh = run("clean", raw, FIELD, whole, faces=2000)
     looks = finished.appearance(mesh.vertices)
-    textured = run("bake", run("unwrap", mesh), looks, FIELD, model, size=128)
+    textured = run(
+        "bake", run("unwrap", mesh), looks, FIELD, model, photos(run), size=128, refine=False
+    )
     run("export", textured, looks, FIELD, model, photos(run), preview=64)
     (seen,) = run.warnings()
     assert "was seen by no camera" in seen
@@ -143,7 +147,9 @@ def test_true_maps_give_the_true_asset(
     raw = run("extract", FIELD, model)
     mesh = run("clean", raw, FIELD, model)
     looks = finished.appearance(mesh.vertices)
-    textured = run("bake", run("unwrap", mesh), looks, FIELD, model, size=1024)
+    textured = run(
+        "bake", run("unwrap", mesh), looks, FIELD, model, photos(run), size=1024, refine=False
+    )
     photos_of = finished.views(run.folder / "photos")
     asset = run("export", textured, looks, FIELD, model, photos_of, preview=240)
     found = truth.distances(mesh.vertices, *truth.mesh(name))

@@ -20,7 +20,9 @@ from refdgs_pipe.received import look_around
 from refdgs_pipe.tracing import Hits, Solid, at_hits
 
 F32 = NDArray[np.float32]
+Ints = NDArray[np.int64]
 _SUPERSAMPLING = 2
+_STEEP = 0.04  # sRGB: pixels whose rays differ by more get four times as many
 _BOUNCES = 3
 _LIFT = 0.0025  # of the object's diagonal: mirrored rays start this far above the surface
 _CHUNK = 1 << 18
@@ -43,6 +45,22 @@ class Shaded:
     def f0(self) -> F32:
         """(N, 3) reflectance straight on."""
         return DIELECTRIC * (1 - self.metallic) + self.base * self.metallic
+
+
+@dataclass(frozen=True)
+class Seen:
+    """How N places look.
+
+    Args:
+        here: their materials; cosine: (N,) between the normal and the way to the eye.
+        received: (N, 3) linear radiance of a white matte surface there.
+        mirrored: (N, 3) linear radiance that is mirrored to the eye.
+    """
+
+    here: Shaded
+    cosine: F32
+    received: F32
+    mirrored: F32
 
 
 class Relit:
@@ -82,27 +100,43 @@ class Relit:
         return received[same], sent[same]
 
     def draw(self, camera: Camera) -> tuple[F32, F32]:
-        """(H, W, 3) sRGB picture, not premultiplied, and (H, W) coverage."""
-        import cv2
+        """(H, W, 3) sRGB picture, not premultiplied, and (H, W) coverage.
 
-        fine = camera.resized(camera.width * _SUPERSAMPLING, camera.height * _SUPERSAMPLING)
-        rays = fine.pixel_rays().reshape(-1, 3) @ fine.cam_from_world[:3, :3]
-        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-        image = np.zeros((len(rays), 4), np.float32)
-        for start in range(0, len(rays), _CHUNK):
-            part = rays[start : start + _CHUNK].astype(np.float32)
-            hits = self.solid.first(camera.center.astype(np.float32), part)
-            image[start + hits.rays, :3] = np.clip(self._shade(hits, -part[hits.rays]), 0, 1)
-            image[start + hits.rays, 3] = 1
-        size = (camera.width, camera.height)
-        whole = image.reshape(fine.height, fine.width, 4)
-        small = np.asarray(cv2.resize(whole, size, interpolation=cv2.INTER_AREA), np.float32)
-        alpha = small[..., 3]
-        linear = small[..., :3] / np.maximum(alpha, np.float32(1e-6))[..., None]
+        Pixels whose rays differ much get more of them.
+        """
+        whole = np.arange(camera.width * camera.height)
+        mean, apart = self._looked(camera, whole, _SUPERSAMPLING)
+        steep = np.flatnonzero(apart > _STEEP)
+        mean[steep], _ = self._looked(camera, steep, 2 * _SUPERSAMPLING)
+        image = mean.reshape(camera.height, camera.width, 4)
+        alpha = image[..., 3]
+        linear = image[..., :3] / np.maximum(alpha, np.float32(1e-6))[..., None]
         return srgb_from_linear(np.asarray(linear, np.float32)), alpha
 
-    def _shade(self, hits: Hits, toward: F32) -> F32:
-        """(N, 3) linear radiance towards the eye, (N, 3) unit."""
+    def _looked(self, camera: Camera, pixels: Ints, side: int) -> tuple[F32, F32]:
+        """(N, 4) linear colour times coverage, and coverage; (N,) how far rays lie apart, sRGB.
+
+        Args:
+            pixels: (N,) row * width + column; side: rays along a pixel's side.
+        """
+        total = np.zeros((len(pixels), 4), np.float32)
+        low = np.full((len(pixels), 4), np.inf, np.float32)
+        high = -low
+        for offset in offsets(side):
+            rays = rays_of(camera, pixels, offset)
+            hits = self.solid.first(camera.center.astype(np.float32), rays)
+            found = np.zeros((len(pixels), 4), np.float32)
+            for start in range(0, len(hits.rays), _CHUNK):
+                some = hits.chosen(slice(start, start + _CHUNK))
+                shaded = self._shade(some, -rays[some.rays])
+                found[some.rays] = np.column_stack([np.clip(shaded, 0, 1), np.ones(len(shaded))])
+            total += found
+            shown = srgb_from_linear(found)
+            low, high = np.minimum(low, shown), np.maximum(high, shown)
+        return total / np.float32(side * side), (high - low).max(1)
+
+    def surface(self, hits: Hits, toward: F32) -> Seen:
+        """What makes up the radiance towards the eye, (N, 3) unit, of places that were met."""
         mesh = self.mesh
 
         def at(values: F32) -> F32:
@@ -123,7 +157,12 @@ class Relit:
         near = self.solid.first(start, mirrored)
         incoming[near.rays] = self._seen(near, mirrored[near.rays])
         share = reflected_share(here.f0, here.roughness, np.clip(along, 0.02, 1))
-        return here.scattered * at(self._received) + incoming * share
+        return Seen(here, along[:, 0], at(self._received), incoming * share)
+
+    def _shade(self, hits: Hits, toward: F32) -> F32:
+        """(N, 3) linear radiance towards the eye, (N, 3) unit."""
+        seen = self.surface(hits, toward)
+        return seen.here.scattered * seen.received + seen.mirrored
 
     def _seen(self, hits: Hits, directions: F32) -> F32:
         """(N, 3) linear radiance that mirrored rays meet on the object: one more reflection."""
@@ -147,6 +186,24 @@ def relit(textured: TexturedMesh, looks: Appearance) -> Callable[[Camera], tuple
     if looks.environment is None:
         return None
     return Relit(textured, looks.environment).draw
+
+
+def offsets(side: int) -> list[tuple[float, float]]:
+    """Where in a pixel `side` x `side` rays go, from its centre, to the right and downwards."""
+    steps = [(i + 0.5) / side - 0.5 for i in range(side)]
+    return [(x, y) for y in steps for x in steps]
+
+
+def rays_of(camera: Camera, pixels: Ints, offset: tuple[float, float] = (0.0, 0.0)) -> F32:
+    """(N, 3) unit rays, world, through pixels (N,) given as row * width + column.
+
+    Args:
+        offset: from their centres, in pixels to the right and downwards.
+    """
+    row, column = np.divmod(pixels, camera.width)
+    x, y = column + 0.5 + offset[0], row + 0.5 + offset[1]
+    towards = np.column_stack([x, y, np.ones(len(pixels))]) @ np.linalg.inv(camera.K).T
+    return _unit((towards @ camera.cam_from_world[:3, :3]).astype(np.float32))
 
 
 def _eight(pixels: NDArray[np.uint16]) -> F32:

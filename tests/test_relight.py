@@ -1,0 +1,51 @@
+"""The little renderer that scores the asset in its own light."""
+
+from dataclasses import replace
+
+import numpy as np
+from painted import textured
+from scenes import look_at
+
+from refdgs_pipe.relight import Relit, offsets, rays_of
+
+SKY = np.full((16, 32, 3), 0.5, np.float32)
+CAMERA = look_at("v", np.array([4.0, 0.5, 1.0]), size=48, focal=55)
+
+
+def test_a_matte_ball_in_even_light_sends_what_it_receives_times_its_colour() -> None:
+    """Nothing hides the sky from a ball, so that it receives the sky's 0.5 everywhere."""
+    ball = textured()
+    grey = np.full_like(ball.base_color, 48059)  # sRGB 0.7333, linear 0.4969
+    plain = replace(
+        ball,
+        base_color=grey,
+        roughness=np.full_like(ball.roughness, 65535),
+        metallic=np.zeros_like(ball.metallic),
+    )
+    picture, alpha = Relit(plain, SKY).draw(CAMERA)
+    linear = ((picture[alpha == 1] + 0.055) / 1.055) ** 2.4
+    assert 0.5 * 0.497 - 0.01 < np.median(linear) < 0.5 * 0.497 + 0.03  # and 4 % that it mirrors
+
+
+def test_outlines_are_drawn_with_sixteen_rays_and_the_rest_with_four() -> None:
+    _, alpha = Relit(textured(), SKY).draw(CAMERA)
+    edge = alpha[(alpha > 0) & (alpha < 1)]
+    np.testing.assert_allclose(edge * 16, np.round(edge * 16), atol=1e-5)
+    assert (np.abs(edge * 4 - np.round(edge * 4)) > 0.1).mean() > 0.3
+
+
+def test_rays_of_pixels_go_through_their_centres_and_beside_them() -> None:
+    pixels = np.array([0, 49, 48 * 48 - 1])
+    whole = CAMERA.pixel_rays().reshape(-1, 3)[pixels] @ CAMERA.cam_from_world[:3, :3]
+    whole /= np.linalg.norm(whole, axis=1, keepdims=True)
+    np.testing.assert_allclose(rays_of(CAMERA, pixels), whole, atol=1e-6)
+    points = CAMERA.center + 3.0 * rays_of(CAMERA, pixels, (0.25, -0.5))
+    seen, _ = CAMERA.project(points)
+    row, column = np.divmod(pixels, 48)
+    np.testing.assert_allclose(seen, np.stack([column + 0.75, row + 0.0], 1), atol=1e-3)
+
+
+def test_rays_share_out_a_pixel_evenly() -> None:
+    assert offsets(1) == [(0.0, 0.0)]
+    np.testing.assert_allclose(np.mean(offsets(4), axis=0), 0, atol=1e-12)
+    assert len(set(offsets(4))) == 16 and np.abs(offsets(4)).max() == 0.375
