@@ -171,7 +171,7 @@ class TrainParams(Params):
         description="weight of the depth distortion, of 1 / depth in units of the nearest camera's",
     )
     smooth_weight: float = Field(
-        0.0,
+        0.05,
         ge=0,
         le=10,
         description="weight of normal smoothness away from diffuse and depth edges",
