@@ -108,6 +108,18 @@ template <class S> void bind_shade(nb::module_& m, const std::string& type) {
   });
 }
 
+template <class S> void bind_smoothness(nb::module_& m, const std::string& type) {
+  // images: normal, features, depth, alpha, the object's alpha; numbers: shaded, scales right and down.
+  m.def(("normal_smoothness_" + type).c_str(),
+        [](Size size, Images images, Numbers numbers, int threads, Address v_normal) {
+          nb::gil_scoped_release release;
+          return normal_smoothness(Smoothness<S>{int(size[1]), int(size[0]), image<S>(images[0]), image<S>(images[1]),
+                                                 image<S>(images[2]), image<S>(images[3]), image<S>(images[4]),
+                                                 S(numbers[0]), S(numbers[1]), S(numbers[2]), at<S>(v_normal)},
+                                   threads);
+        });
+}
+
 template <class S> void bind_photo(nb::module_& m, const std::string& type) {
   using Size = const std::vector<int64_t>&;
   m.def(("composited_" + type).c_str(), [](Size size, Address rgb, Address mask, const std::vector<double>& backdrop,
@@ -136,6 +148,8 @@ void bind_fused(nb::module_& m) {
   bind_mlp<double>(m, "mlp_double", "mlp_bwd_double");
   bind_shade<float>(m, "float");
   bind_shade<double>(m, "double");
+  bind_smoothness<float>(m, "float");
+  bind_smoothness<double>(m, "double");
   bind_photo<float>(m, "float");
   bind_photo<double>(m, "double");
   bind_sph_mip<float>(m, "sph_mip_float", "sph_mip_bwd_float");

@@ -64,12 +64,22 @@ template <class S> double normal_agreement(const Agreement<S>& in, int threads) 
   return total;
 }
 
+template <class S> double normal_smoothness(const Smoothness<S>& in, int threads) {
+  std::vector<double> rows(size_t(in.height), 0.0);
+  over_bands(in.width, in.height, nullptr, 0, threads,
+             [&](Band band, int) { pixel_kernels(S(0)).smoothness(in, band, rows.data() + band.first); });
+  double total = 0;
+  for (double row : rows) total += row;
+  return total;
+}
+
 #define REFDGS_SHADE(S)                                                                                      \
   template void shading_inputs<S>(const Covered<S>&, int, const Inputs<S>&);                                 \
   template void shading_inputs_bwd<S>(const Covered<S>&, const Inputs<const S>&, int, const MapGrads<S>&);   \
   template void composite<S>(const Composite<S>&, int, S*);                                                  \
   template void composite_bwd<S>(const Composite<S>&, Image<S>, int, S*, S*, S*);                            \
-  template double normal_agreement<S>(const Agreement<S>&, int);
+  template double normal_agreement<S>(const Agreement<S>&, int);                                             \
+  template double normal_smoothness<S>(const Smoothness<S>&, int);
 REFDGS_SHADE(float)
 REFDGS_SHADE(double)
 

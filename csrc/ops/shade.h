@@ -70,6 +70,17 @@ template <class S> struct Agreement {
 };
 template <class S> double normal_agreement(const Agreement<S>& in, int threads);
 
+// Sum over neighbours p, q of scale |n_p - n_q|, damped at edges of the diffuse colour features / object_alpha (0 where
+// that is at most `shaded`) and of the depth, where both have an alpha above kSolid. Its gradient, if wanted.
+template <class S> struct Smoothness {
+  int width, height;
+  Image<S> normal, features, depth, alpha, object_alpha;  // sums of w n, of w (diffuse, ...), of w z, of w
+  S shaded, scale_x, scale_y;                             // scales of steps to the right and down
+  S* v_normal;                                            // [3][H][W], may be null
+};
+template <class S> double normal_smoothness(const Smoothness<S>& in, int threads);
+constexpr double kSolid = 0.9, kDiffuseEdge = 10, kDepthEdge = 100;
+
 // Image rows, and the covered pixels on them.
 struct Band {
   int first, last;
@@ -87,6 +98,7 @@ template <class S> struct ShadeKernels {
                         S* v_alpha);
   // sums: [last - first], each row's; scratch: slope_scratch, aligned to 64 bytes.
   void (*agreement)(const Agreement<S>&, Band, S* scratch, double* sums);
+  void (*smoothness)(const Smoothness<S>&, Band, double* sums);
 };
 
 }  // namespace refdgs

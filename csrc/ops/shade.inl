@@ -298,6 +298,69 @@ template <class S> void shade_agreement(const Agreement<S>& in, Band band, S* sc
   }
 }
 
+// What smoothness compares of LANES pixels along a row.
+template <class S> struct Flat {
+  using vf = typename Simd<S>::vf;
+  V3<S> normal, diffuse;
+  vf length, depth;
+  decltype(less(vf{}, vf{})) solid;
+
+  Flat(const Smoothness<S>& in, int64_t y, int x) {
+    const auto image = [&](const Image<S>& from, int c) { return along(from, y, x, in.width, c); };
+    const vf alpha = image(in.alpha, 0), object = image(in.object_alpha, 0);
+    const V3<S> sum{image(in.normal, 0), image(in.normal, 1), image(in.normal, 2)};
+    length = max_of(sqrt_of(dot(sum, sum)), all(S(1e-8)));
+    normal = reciprocal(length) * sum;
+    const vf share = keep(less(all(in.shaded), object), reciprocal(max_of(object, all(S(1e-6)))));
+    diffuse = share * V3<S>{image(in.features, 0), image(in.features, 1), image(in.features, 2)};
+    depth = image(in.depth, 0) * reciprocal(max_of(alpha, all(S(1e-6))));
+    solid = less(all(S(kSolid)), alpha);
+  }
+};
+
+template <class V> inline V sign_of(V x) { return select(less(V{}, x), V{} + 1, select(less(x, V{}), V{} - 1, V{})); }
+
+// One pixel's term with a neighbour: the loss, and the gradient by the pixel's unit normal on top of v.
+template <class S>
+typename Simd<S>::vf step_between(const Flat<S>& here, const Flat<S>& other, const Flat<S>& later, S scale, V3<S>& v) {
+  using vf = typename Simd<S>::vf;
+  const V3<S> d = other.diffuse - here.diffuse, n = here.normal - other.normal;
+  const vf colors = abs_of(d.x) + abs_of(d.y) + abs_of(d.z);
+  const vf relative = abs_of(other.depth - here.depth) * reciprocal(max_of(later.depth, all(S(1e-6))));
+  const vf edge = colors * S(kDiffuseEdge) + relative * S(kDepthEdge);
+  const vf weight = keep(here.solid & other.solid, exp_of(-edge) * scale);
+  v = v + weight * V3<S>{sign_of(n.x), sign_of(n.y), sign_of(n.z)};
+  return weight * (abs_of(n.x) + abs_of(n.y) + abs_of(n.z));
+}
+
+// Past the border `along` repeats it, which is no step.
+template <class S> void shade_smoothness(const Smoothness<S>& in, Band band, double* sums) {
+  using vf = typename Simd<S>::vf;
+  const int64_t plane = int64_t(in.width) * in.height;
+  for (int y = band.first; y < band.last; ++y) {
+    double sum = 0;
+    const int up = y > 0 ? y - 1 : 0, down = y + 1 < in.height ? y + 1 : y;
+    for (int x = 0; x < in.width; x += LANES) {
+      const Flat<S> here(in, y, x), right(in, y, x + 1), below(in, down, x);
+      V3<S> v{};
+      vf term = step_between(here, right, right, in.scale_x, v) + step_between(here, below, below, in.scale_y, v);
+      const int lanes = in.width - x < LANES ? in.width - x : LANES;
+      for (int i = 0; i < lanes; ++i) sum += double(term[i]);
+      if (!in.v_normal) continue;
+      step_between(here, Flat<S>(in, y, x - 1), here, in.scale_x, v);
+      step_between(here, Flat<S>(in, up, x), here, in.scale_y, v);
+      const auto long_enough = less(all(S(1e-8)), here.length);
+      v = reciprocal(here.length) * (v - keep(long_enough, dot(v, here.normal)) * here.normal);
+      S* out = in.v_normal + int64_t(y) * in.width;
+      write_along(out, x, in.width, v.x);
+      write_along(out + plane, x, in.width, v.y);
+      write_along(out + 2 * plane, x, in.width, v.z);
+    }
+    sums[y - band.first] = sum;
+  }
+}
+
 template <class S> constexpr ShadeKernels<S> shade_kernels() {
-  return {shade_inputs<S>, shade_inputs_bwd<S>, shade_composite<S>, shade_composite_bwd<S>, shade_agreement<S>};
+  return {shade_inputs<S>,        shade_inputs_bwd<S>, shade_composite<S>,
+          shade_composite_bwd<S>, shade_agreement<S>,  shade_smoothness<S>};
 }

@@ -5,7 +5,14 @@ from refdgs_pipe.ops.mlp import mlp
 from refdgs_pipe.ops.photo import composited, mask_entropy
 from refdgs_pipe.ops.plan import Later, Plan
 from refdgs_pipe.ops.rasterize import Maps, Pinhole, ScreenStatistics, Surfels, rasterize
-from refdgs_pipe.ops.shade import clip, composite, covered_pixels, normal_agreement, shading_inputs
+from refdgs_pipe.ops.shade import (
+    clip,
+    composite,
+    covered_pixels,
+    normal_agreement,
+    normal_smoothness,
+    shading_inputs,
+)
 from refdgs_pipe.ops.sph_mip import mip_levels, sph_mip
 
 __all__ = [
@@ -25,6 +32,7 @@ __all__ = [
     "mip_levels",
     "mlp",
     "normal_agreement",
+    "normal_smoothness",
     "rasterize",
     "shading_inputs",
     "sph_mip",

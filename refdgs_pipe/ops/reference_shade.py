@@ -98,3 +98,33 @@ def normal_agreement(
     smooth = bend * camera.fx < edge * z[1:-1, 1:-1]
     agreement = (normalized(normal) * expected).sum(-1)
     return (((1 - agreement) * alpha.detach())[1:-1, 1:-1] * smooth).mean()
+
+
+def normal_smoothness(
+    normal: Tensor,
+    features: Tensor,
+    depth: Tensor,
+    alpha: Tensor,
+    object_alpha: Tensor,
+    *,
+    shaded: float,
+) -> Tensor:
+    """Same meaning as `ops.normal_smoothness`."""
+    unit = torch.nn.functional.normalize(normal, dim=-1, eps=1e-8)
+    object_alpha, alpha = object_alpha.detach()[..., None], alpha.detach()
+    diffuse = features[..., :3].detach() / object_alpha.clamp(min=1e-6) * (object_alpha > shaded)
+    z, solid = depth.detach() / alpha.clamp(min=1e-6), alpha > 0.9
+
+    def along(axis: int) -> Tensor:
+        def first(image: Tensor) -> Tensor:
+            return image.narrow(axis, 0, image.shape[axis] - 1)
+
+        def second(image: Tensor) -> Tensor:
+            return image.narrow(axis, 1, image.shape[axis] - 1)
+
+        relative = (second(z) - first(z)).abs() / second(z).clamp(min=1e-6)
+        edge = 10 * (second(diffuse) - first(diffuse)).abs().sum(-1) + 100 * relative
+        steps = (second(unit) - first(unit)).abs().sum(-1)
+        return (steps * torch.exp(-edge) * (first(solid) & second(solid))).mean()
+
+    return along(0) + along(1)

@@ -162,6 +162,50 @@ def normal_agreement(
     return loss
 
 
+def normal_smoothness(
+    normal: Tensor,
+    features: Tensor,
+    depth: Tensor,
+    alpha: Tensor,
+    object_alpha: Tensor,
+    *,
+    shaded: float,
+    weight: float = 1.0,
+    threads: int | None = None,
+) -> Tensor:
+    """`weight` times the mean |n_p - n_q| of neighbours, damped at edges but not at reflections.
+
+    A step between pixels counts exp(-10 |difference of diffuse| - 100 |difference of depth| /
+    depth), and nothing where one of them has an alpha below 0.9. Means of steps to the right and of
+    steps down are added. The gradient reaches the normal alone.
+
+    Args:
+        normal: (H, W, 3) sums of w n, world.
+        features: (H, W, C) sums of w times what surfels carry, linear diffuse colour first.
+        depth: (H, W) sums of w z; alpha: (H, W) sums of w.
+        object_alpha: (H, W), what `features` are divided by; at most `shaded`, diffuse is 0.
+        threads: default torch's; the result does not depend on it.
+
+    Raises:
+        ShapeError: sizes or types disagree, or the image is a single row or column.
+    """
+    size = tuple(alpha.shape)
+    images = {"normal": normal, "features": features, "depth": depth, "alpha": alpha}
+    _check_images(size, **images, object_alpha=object_alpha)
+    if min(size) < 2:
+        raise ShapeError(f"image of {size[1]}x{size[0]}: no pixel has neighbours on two sides")
+    given = (*images.values(), object_alpha)
+    if cuda.on_gpu(alpha):
+        from refdgs_pipe.ops import reference_shade
+
+        return weight * reference_shade.normal_smoothness(*given, shaded=shaded)
+    count = threads or torch.get_num_threads()
+    loss: Tensor = _NormalSmoothness.apply(  # type: ignore[no-untyped-call]
+        *given, shaded, weight, count
+    )
+    return loss
+
+
 def clip(x: Tensor, limit: float) -> Tensor:
     """min(x, limit) whose gradient above the limit only pulls down.
 
@@ -316,3 +360,34 @@ class _NormalAgreement(torch.autograd.Function):
         scale = float(v[0])
         v_normal, v_depth, v_alpha = (g if scale == 1 else g * scale for g in ctx.grads)
         return v_normal.permute(1, 2, 0), v_depth[0], v_alpha[0], *[None] * 4
+
+
+class _NormalSmoothness(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: Any,
+        normal: Tensor,
+        features: Tensor,
+        depth: Tensor,
+        alpha: Tensor,
+        object_alpha: Tensor,
+        shaded: float,
+        weight: float,
+        threads: int,
+    ) -> Tensor:
+        height, width = alpha.shape
+        ctx.gradient = alpha.new_empty(3, height, width) if ctx.needs_input_grad[0] else None
+        total: float = _function("normal_smoothness", alpha.dtype)(
+            [height, width],
+            [addresses.image(t) for t in (normal, features, depth, alpha, object_alpha)],
+            [shaded, weight / (height * (width - 1)), weight / ((height - 1) * width)],
+            threads,
+            0 if ctx.gradient is None else ctx.gradient.data_ptr(),
+        )
+        return alpha.new_tensor(total)
+
+    @staticmethod
+    def backward(ctx: Any, *v: Tensor) -> tuple[Tensor | None, ...]:
+        scale, gradient = float(v[0]), ctx.gradient
+        scaled = gradient if scale == 1 else gradient * scale
+        return scaled.permute(1, 2, 0), *[None] * 7

@@ -10,13 +10,14 @@ from refdgs_pipe.ops import (
     image_loss_and_error,
     mask_entropy,
     normal_agreement,
+    normal_smoothness,
 )
 from refdgs_pipe.ops.rasterize import Extra
 from refdgs_pipe.training import losses
 from refdgs_pipe.training.field import TrainableField
 from refdgs_pipe.training.photos import TrainingPhoto
 from refdgs_pipe.training.settings import TrainParams
-from refdgs_pipe.training.shading import Picture, draw
+from refdgs_pipe.training.shading import SHADED_ALPHA, Picture, draw
 
 NEAR = 0.02  # of the distance of the nearest camera to the ball's centre
 
@@ -92,9 +93,15 @@ def _loss(
             edge=p.normal_edge,
             weight=p.normal_weight,
         )
-    if p.smooth_weight > 0:
-        loss = loss + p.smooth_weight * losses.normal_smoothness(
-            picture.normal, picture.diffuse, picture.depth, maps.alpha
+    if p.smooth_weight > 0 and maps.normal is not None and maps.depth is not None:
+        loss = loss + normal_smoothness(
+            maps.normal,
+            maps.features,
+            maps.depth,
+            maps.alpha,
+            picture.object_alpha,
+            shaded=SHADED_ALPHA,
+            weight=p.smooth_weight,
         )
     if maps.distortion is not None:
         relative = maps.distortion.mean() / NEAR**2  # it is measured in near / depth

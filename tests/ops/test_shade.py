@@ -102,6 +102,63 @@ def test_normal_agreement_equals_the_definition(edge: float) -> None:
         assert torch.allclose(found, wanted, rtol=1e-10, atol=1e-13)
 
 
+def solid_maps(
+    seed: int, dtype: torch.dtype = torch.float64, size: tuple[int, int] = (H, W)
+) -> list[Tensor]:
+    """What `normal_smoothness` is given: mostly solid, with small steps and some strong edges."""
+    m = {name: value.detach() for name, value in maps(seed, dtype, size).items()}
+    alpha = (0.8 + 2 * m["alpha"]).clamp(max=1)
+    depth = (2 + 0.01 * m["features"][..., 4]) * alpha
+    return [m["normal"].requires_grad_(), 0.1 * m["features"], depth, alpha, m["alpha"]]
+
+
+@pytest.mark.parametrize("size", [(H, W), (21, 150), (2, 2)])
+def test_normal_smoothness_equals_the_definition(size: tuple[int, int]) -> None:
+    results = []
+    for of in (ops, reference):
+        given = solid_maps(4, size=size)
+        loss = of.normal_smoothness(*given, shaded=0.3)
+        (3 * loss).backward()
+        results.append((loss.detach(), given[0].grad))
+    assert (given[3] <= 0.9).any() or size == (2, 2)
+    for found, wanted in zip(*results, strict=True):
+        assert torch.allclose(found, wanted, rtol=1e-10, atol=1e-13)
+    assert float(results[0][0]) > 0
+
+
+def test_smoothness_and_its_gradient_equal_finite_differences_and_threads_do_not_matter() -> None:
+    normal, *rest = solid_maps(5)
+
+    def loss(normal: Tensor) -> Tensor:
+        return ops.normal_smoothness(normal, *rest, shaded=0.05, weight=0.3)
+
+    assert torch.autograd.gradcheck(loss, [normal], **STEPS)
+    found = []
+    for threads in (1, 2):
+        normal, *rest = solid_maps(6, torch.float32, (40, 70))
+        ops.normal_smoothness(normal, *rest, shaded=0.05, threads=threads).backward()
+        found.append(normal.grad)
+    assert torch.equal(*found)
+
+
+def test_smoothness_spares_the_edges_of_colour_and_depth() -> None:
+    """The same step of the normal, where nothing else steps, the colour does, or the depth."""
+    normal = torch.zeros(4, 6, 3).double()
+    normal[:, :3, 0], normal[:, 3:, 1] = 1, 1
+    features, alpha = torch.full((4, 6, 3), 0.5).double(), torch.ones(4, 6).double()
+    depth = torch.full((4, 6), 2.0).double()
+    other, behind = features.clone(), depth.clone()
+    other[:, 3:] = 0.1
+    behind[:, 3:] = 2.2
+    plain, colored, apart = (
+        float(ops.normal_smoothness(normal, f, z, alpha, alpha, shaded=0.05))
+        for f, z in ((features, depth), (other, depth), (features, behind))
+    )
+    assert plain == pytest.approx(2 / 5)  # one of five steps to the right, |1| + |-1|
+    assert colored < 1e-4 * plain
+    assert apart < 1e-3 * plain
+
+
 def test_gradients_equal_finite_differences() -> None:
     m = maps(5)
     pixels, view = covered(m["alpha"]), camera()
