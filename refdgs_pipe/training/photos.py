@@ -1,6 +1,8 @@
 """Training photos in memory, at every scale of the run."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -11,6 +13,8 @@ from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.ops import Pinhole
+
+TENSORS = ("rgb", "mask", "valid", "held", "which", "beyond")
 
 
 @dataclass(frozen=True)
@@ -38,13 +42,15 @@ class TrainingPhoto:
 
     def to(self, device: str) -> "TrainingPhoto":
         """The photo with its pixels on a device; the camera stays."""
-        mask = None if self.mask is None else self.mask.to(device)
-        valid = None if self.valid is None else self.valid.to(device)
-        held = None if self.held is None else self.held.to(device)
-        which = None if self.which is None else self.which.to(device)
-        beyond = None if self.beyond is None else self.beyond.to(device)
-        photo = replace(self, rgb=self.rgb.to(device), mask=mask, valid=valid, held=held)
-        return replace(photo, which=which, beyond=beyond)
+        return self.each(lambda pixels: pixels.to(device))
+
+    def each(self, change: Callable[[Tensor], Tensor]) -> "TrainingPhoto":
+        """The photo with every tensor that it has changed; the camera stays."""
+        changed: dict[str, Any] = {}
+        for name in TENSORS:
+            if (tensor := getattr(self, name)) is not None:
+                changed[name] = change(tensor)
+        return replace(self, **changed)
 
 
 def load_training_photos(

@@ -20,7 +20,7 @@ from refdgs_pipe.ops.cuda import sent
 from refdgs_pipe.ops.cuda_adam import rates_of
 from refdgs_pipe.ops.plan import Asked
 from refdgs_pipe.training.field import TrainableField
-from refdgs_pipe.training.photos import TrainingPhoto
+from refdgs_pipe.training.photos import TENSORS, TrainingPhoto
 from refdgs_pipe.training.step import Taken, take_step
 
 WAITS = 3  # steps of a kind before one is recorded: many sizes of photos are not worth it
@@ -56,16 +56,8 @@ class Buffers:
         numbers = torch.zeros(LENS + 3 + rates, device=like.rgb.device)
         self._numbers = numbers
         lens, self.backdrop, self.rates = torch.split(numbers, [LENS, 3, rates])
-        self.photo = replace(
-            like,
-            pinhole=replace(like.pinhole, lens=lens),
-            rgb=like.rgb.clone(),
-            mask=None if like.mask is None else like.mask.clone(),
-            valid=None if like.valid is None else like.valid.clone(),
-            beyond=None if like.beyond is None else like.beyond.clone(),
-            which=None if like.which is None else like.which.clone(),
-            held=None,
-        )
+        lensed = replace(like, pinhole=replace(like.pinhole, lens=lens), held=None)
+        self.photo = lensed.each(Tensor.clone)
 
     def load(self, photo: TrainingPhoto, backdrop: Tensor, rates: list[float]) -> None:
         """Fill in a step's own; nothing waits.
@@ -76,14 +68,8 @@ class Buffers:
         numbers = torch.tensor([*photo.pinhole.numbers(), *backdrop.tolist(), *rates])
         device = self._numbers.device.type
         self._numbers.copy_(sent(numbers, device), non_blocking=True)
-        mine = self.photo
-        for to, given in (
-            (mine.rgb, photo.rgb),
-            (mine.mask, photo.mask),
-            (mine.valid, photo.valid),
-            (mine.which, photo.which),
-            (mine.beyond, photo.beyond),
-        ):
+        for name in TENSORS:
+            to, given = getattr(self.photo, name), getattr(photo, name)
             if to is not None and given is not None:
                 to.copy_(given, non_blocking=True)
 
