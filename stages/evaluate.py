@@ -46,6 +46,7 @@ def evaluate(
     from refdgs_pipe.relight import relit
     from refdgs_pipe.training.render import render_image, render_surface_map
 
+    model = model.placed(field.poses)
     picture = Timed(partial(render_image, field, device=job.device, threads=job.threads))
     maps = partial(render_surface_map, field, device=job.device, threads=job.threads)
     lpips = load_lpips(params.lpips_weights, params.lpips_digest)

@@ -41,6 +41,7 @@ def export(
     from refdgs_pipe.export.product import product, scale_of
     from refdgs_pipe.texture.levels import levels
 
+    model = model.placed(field.poses)
     scale, told = scale_of(textured.mesh, known=model.metres_per_unit, longest=params.longest)
     if told == "unknown":
         job.measure("scale", "unknown: a unit is a metre; set export.longest, in metres")

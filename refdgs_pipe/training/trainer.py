@@ -94,6 +94,7 @@ class Trainer:
             near=self.near,
             device=device,
             behind=seen.background,
+            refined=params.poses == "refined" and not views.has_known_poses,
             restored=read_checkpoint(scratch) is not None,
             progress=starting,
         )
@@ -109,8 +110,14 @@ class Trainer:
         self.loss, self.psnr = math.nan, math.nan
         self.curve: list[tuple[int, float, float]] = []
         self.plan = None if device == "cpu" else Plan(device)
-        recorder = Recorder() if device == "cuda" and params.cuda_graph != "off" else None
         insists = params.cuda_graph == "on"
+        if insists and self.field.poses is not None:
+            raise TrainingError(
+                "steps that refine poses cannot be recorded: set train.cuda_graph to auto or off, "
+                "or train.poses to fixed"
+            )
+        records = params.cuda_graph != "off" and self.field.poses is None
+        recorder = Recorder() if device == "cuda" and records else None
         self.steps = RecordedSteps(self.field, recorder, insists=insists, warn=warn)
         self._later: Later[tuple[Moment, Asked]] = Later(device)  # loss, squared errors, needs
 
