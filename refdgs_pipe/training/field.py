@@ -138,7 +138,7 @@ class TrainableField:
     ) -> dict[str, Tensor]:
         p, cloud, opacity = self.params, None, self.params.start_opacity
         if p.start != "ball" and all(photo.mask is not None for photo in photos):
-            cloud = _hull_cloud(p, model, photos, rng, restored, progress)
+            cloud = initial.hull_cloud(p, model, photos, rng, restored, progress)
             opacity = p.start_opacity if p.start == "volume" else HULL_OPACITY
         if cloud is None or p.start == "volume":
             self.faintest = min(self.faintest, FAINT)
@@ -391,33 +391,3 @@ def _covered_pixels(model: SparseModel, photos: list[TrainingPhoto]) -> float:
         pixels = photo.camera.width * photo.camera.height
         discs.append(min(math.pi * radius**2, pixels) / 2)
     return float(np.mean(discs))
-
-
-def _hull_cloud(
-    p: TrainParams,
-    model: SparseModel,
-    photos: list[TrainingPhoto],
-    rng: np.random.Generator,
-    restored: bool,
-    progress: Callable[[int, int], None] | None,
-) -> initial.Cloud | None:
-    """Where surfels start within the photos' masks, or None if those have nothing in common."""
-    cameras = [photo.camera for photo in photos]
-    masks = [photo.mask.float() / 255 for photo in photos if photo.mask is not None]
-    hull = initial.visual_hull(model.ball, cameras, [mask.numpy() for mask in masks])
-    if hull is None:
-        return None
-    if p.start == "volume":
-        return initial.volume_cloud(hull, p.surfels, rng)
-    if p.start == "carved" and not restored:
-        pictures = [photo.rgb.float() / 255 for photo in photos]
-        hull = initial.carved(
-            hull,
-            cameras,
-            pictures,
-            masks,
-            volume_steps=p.volume_steps,
-            seed=p.seed,
-            progress=progress,
-        )
-    return initial.surface_cloud(hull, p.surfels, rng)

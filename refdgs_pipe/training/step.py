@@ -68,8 +68,9 @@ def take_step(
     loss, error = _loss(p, picture, photo, still, target)
     if field.exposures is not None and photo.which is not None:
         loss = loss + p.exposure_weight * field.exposures.strangeness(photo.which)
-    if field.poses is not None:
-        loss = loss + p.pose_weight * field.poses.strangeness(photo.camera.name)
+    if field.poses is not None and pinhole is not photo.pinhole:
+        strangeness = field.poses.strangeness(photo.camera.name)
+        loss = loss + p.pose_weight * strangeness.to(loss)
     loss.backward()  # type: ignore[no-untyped-call]
     misfit = None if plan is None else plan.misfit
     field.observe(picture, photo.pinhole.width, misfit)

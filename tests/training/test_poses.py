@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from emulation import emulated
 from scipy.spatial.transform import Rotation
 from training.test_trainer import SMALL, capture, quiet
 
@@ -127,6 +128,20 @@ def test_refined_poses_survive_an_interruption(tmp_path: Path) -> None:
     for name, pose in whole.poses.items():
         assert np.array_equal(pose, resumed.poses[name])
     assert any(not np.array_equal(whole.poses[c.name], c.cam_from_world) for c in model.cameras)
+
+
+def test_the_emulated_kernels_give_the_poses_the_same_gradients(tmp_path: Path) -> None:
+    views, model = found(tmp_path / "views", size=20)
+    few = {"surfels": 150, "local_surfels": 100, "start": "hull", "iterations": 8}
+    params = REFINED.model_copy(update=few)
+    (tmp_path / "cpu").mkdir()
+    there = Trainer(views, model, params, tmp_path / "cpu").run(quiet).poses
+    with emulated():
+        here = Trainer(views, model, params, tmp_path).run(quiet).poses
+    moves = [np.abs(there[c.name] - c.cam_from_world).max() for c in model.cameras]
+    assert max(moves) > 1e-3
+    for name, pose in there.items():
+        np.testing.assert_allclose(here[name], pose, atol=1e-4)
 
 
 def test_known_poses_are_not_refined_and_recorded_steps_not_asked_for(tmp_path: Path) -> None:
