@@ -46,12 +46,11 @@ def evaluate(
     from refdgs_pipe.relight import relit
     from refdgs_pipe.training.render import render_image, render_surface_map
 
-    model = model.placed(field.poses)
     picture = Timed(partial(render_image, field, device=job.device, threads=job.threads))
     maps = partial(render_surface_map, field, device=job.device, threads=job.threads)
     lpips = load_lpips(params.lpips_weights, params.lpips_digest)
     protocol = Protocol(params.max_side, lpips, lambda c: job.track(c, "comparing views"))
-    subject = Subject(views, model, mesh, capture.layout().root, textured)
+    subject = Subject(views, model.placed(field.poses), mesh, capture.layout().root, textured)
     scores = score(subject, Drawing(picture, maps, relit(textured, looks)), protocol)
     for name, value, unit in scores.headlines():
         job.measure(name, value, unit)
