@@ -381,7 +381,8 @@ def _hull_cloud(
     """Where surfels start within the photos' masks, or None if those have nothing in common."""
     cameras = [photo.camera for photo in photos]
     masks = [photo.mask.float() / 255 for photo in photos if photo.mask is not None]
-    hull = initial.visual_hull(model.ball, cameras, [mask.numpy() for mask in masks])
+    covers = [mask.numpy() for mask in masks]
+    hull = initial.visual_hull(model.ball, cameras, covers)
     if hull is None:
         return None
     if p.start == "volume":
@@ -397,4 +398,4 @@ def _hull_cloud(
             seed=p.seed,
             progress=progress,
         )
-    return initial.surface_cloud(hull, p.surfels, rng)
+    return initial.surface_cloud(hull, p.surfels, rng, cameras, covers)
