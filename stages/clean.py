@@ -35,6 +35,7 @@ def clean(
     from refdgs_pipe.surface.registration import fitted
     from refdgs_pipe.training.render import render_surface_map
 
+    model = model.placed(field.poses)
     diameter = 2 * model.ball.radius
     job.progress("cleaning", 0, None)
     under = support.find_support(raw, model.up, diameter) if params.keep == "object" else None

@@ -11,10 +11,12 @@ from scipy.ndimage import binary_fill_holes, uniform_filter
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from refdgs_pipe.artifacts.sparse_model import Ball
+from refdgs_pipe.artifacts.sparse_model import Ball, SparseModel
 from refdgs_pipe.camera import F64, Camera
 from refdgs_pipe.training.carving import boundary, empty_cells, needed_by_masks
 from refdgs_pipe.training.outlines import outline_shifts
+from refdgs_pipe.training.photos import TrainingPhoto
+from refdgs_pipe.training.settings import TrainParams
 from refdgs_pipe.training.volume import hollow_cells
 
 F32 = NDArray[np.float32]
@@ -112,6 +114,42 @@ def carved(
     left |= needed_by_masks(hull.cells, left, hull.axes(), cameras, masks)
     left = hull.cells & binary_fill_holes(left)
     return replace(hull, cells=left) if left.sum() >= 50 else hull
+
+
+def hull_cloud(
+    p: TrainParams,
+    model: SparseModel,
+    photos: list[TrainingPhoto],
+    rng: np.random.Generator,
+    restored: bool,
+    progress: Callable[[int, int], None] | None,
+) -> Cloud | None:
+    """Where surfels start within the photos' masks, or None if those have nothing in common.
+
+    Args:
+        restored: the surfels are about to be replaced, so that no hollows are looked for.
+        progress: told the steps done and their number; may raise.
+    """
+    cameras = [photo.camera for photo in photos]
+    masks = [photo.mask.float() / 255 for photo in photos if photo.mask is not None]
+    covers = [mask.numpy() for mask in masks]
+    hull = visual_hull(model.ball, cameras, covers)
+    if hull is None:
+        return None
+    if p.start == "volume":
+        return volume_cloud(hull, p.surfels, rng)
+    if p.start == "carved" and not restored:
+        pictures = [photo.rgb.float() / 255 for photo in photos]
+        hull = carved(
+            hull,
+            cameras,
+            pictures,
+            masks,
+            volume_steps=p.volume_steps,
+            seed=p.seed,
+            progress=progress,
+        )
+    return surface_cloud(hull, p.surfels, rng, cameras, covers)
 
 
 def volume_cloud(hull: Hull, count: int, rng: np.random.Generator) -> Cloud:

@@ -151,6 +151,21 @@ class TrainParams(Params):
         0.002, gt=0, le=1, description="step of the logarithms of the photos' factors"
     )
 
+    poses: Literal["fixed", "refined"] = Field(
+        "fixed",
+        description="refined: poses that structure from motion found are corrected on the way; "
+        "fixed: they are right",
+    )
+    pose_weight: float = Field(
+        1.0,
+        ge=0,
+        le=1e4,
+        description="weight of a pose's squared correction, in radians and camera distances",
+    )
+    rate_poses: float = Field(
+        5e-4, gt=0, le=0.1, description="step of a pose's correction; ends at 1/100"
+    )
+
     ssim_share: float = Field(0.2, ge=0, le=1, description="share of 1 - SSIM in the image loss")
     mask_weight: float = Field(
         0.1, ge=0, le=10, description="weight of the alpha's cross-entropy against masks"
