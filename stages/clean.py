@@ -33,13 +33,14 @@ def clean(
     """Remove floaters, repair, close small holes, smooth, simplify, and fit to the views."""
     from refdgs_pipe.surface import cleanup, support
     from refdgs_pipe.surface.registration import fitted
+    from refdgs_pipe.training.ground import left_to_background
     from refdgs_pipe.training.render import render_surface_map
 
     model = model.placed(field.poses)
     diameter = 2 * model.ball.radius
     job.progress("cleaning", 0, None)
     under = support.find_support(raw, model.up, diameter) if params.keep == "object" else None
-    if params.keep == "object" and under is None:
+    if params.keep == "object" and under is None and not left_to_background(model, field):
         job.warn(support.NONE_FOUND)
     done = cleanup.clean(
         support.above_support(raw, under) if under else raw,
