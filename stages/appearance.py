@@ -35,6 +35,7 @@ def appearance(
     from refdgs_pipe.training.environment import typical_light
     from refdgs_pipe.training.render import render_surface_map
 
+    model = model.placed(field.poses)
     tolerance = params.tolerance * 2 * model.ball.radius
     if not field.shader.reflection:
         return matte(mesh, lift=tolerance / 2)

@@ -50,7 +50,7 @@ def evaluate(
     maps = partial(render_surface_map, field, device=job.device, threads=job.threads)
     lpips = load_lpips(params.lpips_weights, params.lpips_digest)
     protocol = Protocol(params.max_side, lpips, lambda c: job.track(c, "comparing views"))
-    subject = Subject(views, model, mesh, capture.layout().root, textured)
+    subject = Subject(views, model.placed(field.poses), mesh, capture.layout().root, textured)
     scores = score(subject, Drawing(picture, maps, relit(textured, looks)), protocol)
     for name, value, unit in scores.headlines():
         job.measure(name, value, unit)

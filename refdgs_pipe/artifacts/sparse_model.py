@@ -1,7 +1,8 @@
 """Where every photo was taken, and what of the object was seen from there."""
 
 import json
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -66,6 +67,14 @@ class SparseModel:
     sfm_from_world: F64
     metres_per_unit: float | None
     lost: tuple[Lost, ...]
+
+    def placed(self, poses: Mapping[str, F64]) -> Self:
+        """The model with other poses: camera's name -> (4, 4) cam_from_world; the rest stays."""
+        cameras = (
+            replace(camera, cam_from_world=poses.get(camera.name, camera.cam_from_world))
+            for camera in self.cameras
+        )
+        return replace(self, cameras=tuple(cameras))
 
     def save(self, folder: Path) -> None:
         """Write a COLMAP model of the undistorted cameras to sparse/0, the rest to model.json."""

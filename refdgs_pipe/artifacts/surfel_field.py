@@ -1,7 +1,8 @@
 """A trained Ref-DGS field on disk: safetensors for us, a 2DGS PLY for viewers is made at export."""
 
 import json
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Self
 
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from refdgs_pipe.errors import CorruptError
 
 F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
 _SHAPES = {"means": 3, "quats": 4, "scales": 2, "opacities": 0}
 
 
@@ -65,6 +67,8 @@ class SurfelField:
         local: carries features; empty unless local is "dual".
         background: carries sh; empty when the photos' background was removed.
         near: depth before which nothing is drawn, world units.
+        poses: camera's name -> (4, 4) cam_from_world that it was trained with, where that is not
+            the sparse model's; see `SparseModel.placed`.
     """
 
     geometry: SurfelSet
@@ -72,14 +76,15 @@ class SurfelField:
     background: SurfelSet
     shader: ShaderModel
     near: float
+    poses: Mapping[str, F64] = field(default_factory=dict)
 
     def save(self, folder: Path) -> None:
         from safetensors.numpy import save_file
 
         arrays: dict[str, F32] = {"environment": self.shader.environment}
         for name, part in self._sets().items():
-            for field in _SHAPES:
-                arrays[f"{name}.{field}"] = getattr(part, field)
+            for kind in _SHAPES:
+                arrays[f"{name}.{kind}"] = getattr(part, kind)
             arrays |= {f"{name}.values.{k}": v for k, v in part.values.items()}
         for i, (w, b) in enumerate(zip(self.shader.weights, self.shader.biases, strict=True)):
             arrays[f"shader.{i}.weight"], arrays[f"shader.{i}.bias"] = w, b
@@ -92,6 +97,7 @@ class SurfelField:
             "physical": self.shader.physical,
             "near": self.near,
             "layers": len(self.shader.weights),
+            "poses": {name: pose.tolist() for name, pose in self.poses.items()},
         }
         (folder / "field.json").write_text(json.dumps(record, indent=2), "utf-8")
 
@@ -121,7 +127,8 @@ class SurfelField:
             geometry, local, background = (
                 _set(arrays, name) for name in ("geometry", "local", "background")
             )
-            return cls(geometry, local, background, shader, float(record["near"]))
+            poses = {name: _pose(rows) for name, rows in record.get("poses", {}).items()}
+            return cls(geometry, local, background, shader, float(record["near"]), poses)
         except (OSError, KeyError, ValueError, SafetensorError) as error:
             raise CorruptError(
                 f"{folder}: not a readable surfel field ({error}): run the train stage again"
@@ -131,15 +138,22 @@ class SurfelField:
         return {"geometry": self.geometry, "local": self.local, "background": self.background}
 
 
+def _pose(rows: list[list[float]]) -> F64:
+    pose = np.array(rows, np.float64)
+    if pose.shape != (4, 4) or not np.isfinite(pose).all():
+        raise ValueError("a pose is not 4 x 4 finite numbers")
+    return pose
+
+
 def _set(arrays: dict[str, F32], name: str) -> SurfelSet:
-    parts = {field: arrays[f"{name}.{field}"] for field in _SHAPES}
+    parts = {kind: arrays[f"{name}.{kind}"] for kind in _SHAPES}
     n = len(parts["means"])
     prefix = f"{name}.values."
     values = {k[len(prefix) :]: v for k, v in arrays.items() if k.startswith(prefix)}
-    for field, width in _SHAPES.items():
-        if parts[field].shape != ((n, width) if width else (n,)):
-            raise ValueError(f"{name}.{field} is {parts[field].shape} for {n} surfels")
-    for field, array in [*parts.items(), *values.items()]:
+    for kind, width in _SHAPES.items():
+        if parts[kind].shape != ((n, width) if width else (n,)):
+            raise ValueError(f"{name}.{kind} is {parts[kind].shape} for {n} surfels")
+    for kind, array in [*parts.items(), *values.items()]:
         if len(array) != n or not np.isfinite(array).all():
-            raise ValueError(f"{name}.{field} has the wrong length or is not finite")
+            raise ValueError(f"{name}.{kind} has the wrong length or is not finite")
     return SurfelSet(**parts, values=values)

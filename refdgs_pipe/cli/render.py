@@ -36,7 +36,8 @@ def render_views(
         raise InputError(f"--split {split}: expected train, test or all")
     if not 0.0 < scale <= 4.0:
         raise InputError(f"--scale {scale:g}: expected more than 0 and at most 4")
-    model, field = _load(space, "sfm"), _load(space, "train")
+    field = _load(space, "train")
+    model = _load(space, "sfm").placed(field.poses)
     if orbit:
         cameras = orbit_cameras(model, orbit)
     else:

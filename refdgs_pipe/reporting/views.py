@@ -52,8 +52,8 @@ def comparisons(facts: Facts, drawing: Drawing) -> Html:
 
     relit = _relit(facts)
     views = facts.load(Views)
-    model = facts.load(SparseModel)
     field = facts.load(SurfelField)
+    model = facts.load(SparseModel).placed(field.poses)
     cameras = chosen_cameras(facts, model, _COMPARED)
     held = any(camera.split == "test" for camera in cameras)
     rows = []
@@ -126,8 +126,8 @@ def maps(facts: Facts, drawing: Drawing) -> Html:
     """Normals, diffuse colour, roughness and reflections of some views."""
     from refdgs_pipe.training.render import render_surface_map
 
-    model = facts.load(SparseModel)
     field = facts.load(SurfelField)
+    model = facts.load(SparseModel).placed(field.poses)
     rows = []
     for camera in chosen_cameras(facts, model, _MAPPED):
         sized = camera.fitted(_LONGEST)

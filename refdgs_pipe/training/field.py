@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -15,6 +16,7 @@ from refdgs_pipe.training import initial
 from refdgs_pipe.training.exposure import Exposures
 from refdgs_pipe.training.ground import Surroundings
 from refdgs_pipe.training.photos import TrainingPhoto
+from refdgs_pipe.training.poses import Poses
 from refdgs_pipe.training.reflection import Shader
 from refdgs_pipe.training.settings import TrainParams
 from refdgs_pipe.training.shading import Picture, Scene, sh_color
@@ -34,6 +36,7 @@ LOCAL_OPACITY = 0.1
 BACKGROUND_OPACITY = 0.1
 FAINT = 0.05  # what starts as faint as 0.1 is pruned below this at most
 BALL_MARGIN = 1.1  # object surfels may stray this far, in ball radii
+POSES_FROM = 0.1  # fraction of the run after which poses are refined
 LARGEST = 0.1  # surfels larger than this share of the extent go
 
 
@@ -45,6 +48,7 @@ class TrainableField:
         masked: the photos' background is removed, and needs no surfels.
         device: where the surfels and the shader are.
         behind: the background's surfels to start from, if they are known.
+        refined: the photos' poses are corrected.
         restored: the surfels are about to be replaced by those of a checkpoint.
         progress: told the steps done and their number while the start is looked for; may raise.
     """
@@ -59,6 +63,7 @@ class TrainableField:
         near: float,
         device: str = "cpu",
         behind: dict[str, Tensor] | None = None,
+        refined: bool = False,
         restored: bool = False,
         progress: Callable[[int, int], None] | None = None,
     ) -> None:
@@ -103,6 +108,7 @@ class TrainableField:
         self.exposures: Exposures | None = None
         if not masked and params.exposure == "fitted":
             self.exposures = Exposures(len(photos), params.rate_exposure, device)
+        self.poses = Poses(cameras, model.ball, params.rate_poses) if refined else None
         if not masked:
             self.background = self._set(behind or self._background(model, photos, rng))
 
@@ -132,7 +138,7 @@ class TrainableField:
     ) -> dict[str, Tensor]:
         p, cloud, opacity = self.params, None, self.params.start_opacity
         if p.start != "ball" and all(photo.mask is not None for photo in photos):
-            cloud = _hull_cloud(p, model, photos, rng, restored, progress)
+            cloud = initial.hull_cloud(p, model, photos, rng, restored, progress)
             opacity = p.start_opacity if p.start == "volume" else HULL_OPACITY
         if cloud is None or p.start == "volume":
             self.faintest = min(self.faintest, FAINT)
@@ -184,6 +190,16 @@ class TrainableField:
             groups = self.shader_optimizer[0].param_groups
             for parameters, rate in zip(groups, rates, strict=True):
                 parameters["lr"] = rate * share
+        if self.poses is not None:
+            for parameters in self.poses.optimizer.param_groups:
+                parameters["lr"] = p.rate_poses * 0.01**fraction
+
+    def pinhole(self, photo: TrainingPhoto, fraction: float) -> Pinhole:
+        """The photo's camera, where its pose is refined with a gradient."""
+        if self.poses is None or fraction < POSES_FROM:
+            return photo.pinhole
+        pose = self.poses.pose(photo.camera.name)
+        return replace(photo.pinhole, cam_from_world=pose.to(photo.pinhole.cam_from_world.dtype))
 
     def scene(self, camera: Pinhole, fraction: float) -> Scene:
         """What is drawn now: activated, and the background's colour towards this camera."""
@@ -235,6 +251,8 @@ class TrainableField:
             rates: on a GPU, instead of those of `set_rates`; see `adam_step`.
         """
         step_all(self._sets(), self._modules(), misfit, rates)
+        if self.poses is not None:
+            self.poses.step(changes=misfit is None or not bool(misfit))
 
     def optimizers(self) -> list[torch.optim.Adam]:
         """Those that `step` steps, in its order."""
@@ -308,6 +326,8 @@ class TrainableField:
             out |= {f"{name}/{k}": v for k, v in group.state().items()}
         if self.exposures is not None:
             out |= {f"exposures/{k}": v for k, v in self.exposures.state().items()}
+        if self.poses is not None:
+            out |= {f"poses/{k}": v for k, v in self.poses.state().items()}
         if self.shader is not None:
             moments = self.shader_optimizer[0].state
             for k, v in self.shader.named_parameters():
@@ -321,6 +341,8 @@ class TrainableField:
             group.restore(_below(f"{name}/", state))
         if self.exposures is not None:
             self.exposures.restore(_below("exposures/", state))
+        if self.poses is not None:
+            self.poses.restore(_below("poses/", state))
         if self.shader is None:
             return
         with torch.no_grad():
@@ -348,7 +370,8 @@ class TrainableField:
         )
         local = nothing if self.local is None else self.local.freeze()
         background = nothing if self.background is None else self.background.freeze()
-        return SurfelField(self.geometry.freeze(), local, background, model, self.near)
+        poses = {} if self.poses is None else self.poses.found()
+        return SurfelField(self.geometry.freeze(), local, background, model, self.near, poses)
 
 
 def _below(prefix: str, state: dict[str, Tensor]) -> dict[str, Tensor]:
@@ -368,33 +391,3 @@ def _covered_pixels(model: SparseModel, photos: list[TrainingPhoto]) -> float:
         pixels = photo.camera.width * photo.camera.height
         discs.append(min(math.pi * radius**2, pixels) / 2)
     return float(np.mean(discs))
-
-
-def _hull_cloud(
-    p: TrainParams,
-    model: SparseModel,
-    photos: list[TrainingPhoto],
-    rng: np.random.Generator,
-    restored: bool,
-    progress: Callable[[int, int], None] | None,
-) -> initial.Cloud | None:
-    """Where surfels start within the photos' masks, or None if those have nothing in common."""
-    cameras = [photo.camera for photo in photos]
-    masks = [photo.mask.float() / 255 for photo in photos if photo.mask is not None]
-    hull = initial.visual_hull(model.ball, cameras, [mask.numpy() for mask in masks])
-    if hull is None:
-        return None
-    if p.start == "volume":
-        return initial.volume_cloud(hull, p.surfels, rng)
-    if p.start == "carved" and not restored:
-        pictures = [photo.rgb.float() / 255 for photo in photos]
-        hull = initial.carved(
-            hull,
-            cameras,
-            pictures,
-            masks,
-            volume_steps=p.volume_steps,
-            seed=p.seed,
-            progress=progress,
-        )
-    return initial.surface_cloud(hull, p.surfels, rng)

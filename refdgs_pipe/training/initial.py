@@ -11,14 +11,18 @@ from scipy.ndimage import binary_fill_holes, uniform_filter
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from refdgs_pipe.artifacts.sparse_model import Ball
+from refdgs_pipe.artifacts.sparse_model import Ball, SparseModel
 from refdgs_pipe.camera import F64, Camera
 from refdgs_pipe.training.carving import boundary, empty_cells, needed_by_masks
+from refdgs_pipe.training.outlines import outline_shifts
+from refdgs_pipe.training.photos import TrainingPhoto
+from refdgs_pipe.training.settings import TrainParams
 from refdgs_pipe.training.volume import hollow_cells
 
 F32 = NDArray[np.float32]
 
 HULL_CELLS = 96  # along the ball's diameter
+OUTLINE_CELLS = 1.5  # discs of the hull move as far to lie on its outlines
 SKY_SURFELS = 4000
 SKY_DISTANCE = 8.0  # of the farthest camera from the ball, in their distance
 
@@ -61,7 +65,7 @@ def visual_hull(ball: Ball, cameras: list[Camera], masks: list[F32]) -> Hull | N
     ticks = ((np.arange(n) + 0.5) / n * 2 - 1) * ball.radius * 1.05
     alive = np.arange(n**3)
     misses = np.zeros(n**3, np.int16)
-    allowed = max(1, len(cameras) // 30)
+    allowed = _doubters(cameras)
     for camera, mask in zip(cameras, masks, strict=True):
         i, j, k = alive // (n * n), alive // n % n, alive % n
         points = ball.center + np.stack([ticks[i], ticks[j], ticks[k]], -1)
@@ -112,6 +116,42 @@ def carved(
     return replace(hull, cells=left) if left.sum() >= 50 else hull
 
 
+def hull_cloud(
+    p: TrainParams,
+    model: SparseModel,
+    photos: list[TrainingPhoto],
+    rng: np.random.Generator,
+    restored: bool,
+    progress: Callable[[int, int], None] | None,
+) -> Cloud | None:
+    """Where surfels start within the photos' masks, or None if those have nothing in common.
+
+    Args:
+        restored: the surfels are about to be replaced, so that no hollows are looked for.
+        progress: told the steps done and their number; may raise.
+    """
+    cameras = [photo.camera for photo in photos]
+    masks = [photo.mask.float() / 255 for photo in photos if photo.mask is not None]
+    covers = [mask.numpy() for mask in masks]
+    hull = visual_hull(model.ball, cameras, covers)
+    if hull is None:
+        return None
+    if p.start == "volume":
+        return volume_cloud(hull, p.surfels, rng)
+    if p.start == "carved" and not restored:
+        pictures = [photo.rgb.float() / 255 for photo in photos]
+        hull = carved(
+            hull,
+            cameras,
+            pictures,
+            masks,
+            volume_steps=p.volume_steps,
+            seed=p.seed,
+            progress=progress,
+        )
+    return surface_cloud(hull, p.surfels, rng, cameras, covers)
+
+
 def volume_cloud(hull: Hull, count: int, rng: np.random.Generator) -> Cloud:
     """Discs throughout the hull, turned at random."""
     found = np.argwhere(hull.cells)
@@ -122,8 +162,14 @@ def volume_cloud(hull: Hull, count: int, rng: np.random.Generator) -> Cloud:
     return Cloud(points, normals, neighbour_sizes(points), np.full((count, 3), 0.3))
 
 
-def surface_cloud(hull: Hull, count: int, rng: np.random.Generator) -> Cloud:
-    """Discs on the hull's boundary, oriented by its smoothed gradient."""
+def surface_cloud(
+    hull: Hull,
+    count: int,
+    rng: np.random.Generator,
+    cameras: list[Camera],
+    masks: list[F32],
+) -> Cloud:
+    """Discs on the hull's boundary, oriented by its smoothed gradient, and on outlines near by."""
     shell = np.argwhere(boundary(hull.cells))
     smooth = hull.cells.astype(np.float32)
     for axis in range(3):
@@ -134,9 +180,17 @@ def surface_cloud(hull: Hull, count: int, rng: np.random.Generator) -> Cloud:
     normals += 1e-6 * rng.normal(size=normals.shape)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     points = hull.ball.center + hull.ticks[picked] + hull.cell * (rng.random(picked.shape) - 0.5)
+    reach = OUTLINE_CELLS * hull.cell
+    shifts = outline_shifts(points, normals, reach, cameras, masks, _doubters(cameras))
+    points += shifts[:, None] * normals
     area = len(shell) * hull.cell**2 * 1.2
     sizes = np.full(count, math.sqrt(area / count) * 0.6)
     return Cloud(points, normals, sizes, np.full((count, 3), 0.3))
+
+
+def _doubters(cameras: list[Camera]) -> int:
+    """How many masks may deny what the others cover."""
+    return max(1, len(cameras) // 30)
 
 
 def _blurred(values: F32, axis: int) -> F32:

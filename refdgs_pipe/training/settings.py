@@ -18,7 +18,7 @@ class TrainParams(Params):
         0.5, gt=0, le=1, description="image scale at the start of the run; 1 = full size throughout"
     )
     coarse_until: float = Field(
-        0.45, ge=0, le=1, description="fraction of the run trained at the coarse scale"
+        0.3, ge=0, le=1, description="fraction of the run trained at the coarse scale"
     )
     seed: int = Field(0, ge=0, description="of all random choices")
 
@@ -32,10 +32,10 @@ class TrainParams(Params):
     )
     physical: bool = Field(True, description="the shader also sees roughness and cos(normal, view)")
     local_from: float = Field(
-        0.25, ge=0, le=1, description="fraction of the run after which near-field features join"
+        0.0, ge=0, le=1, description="fraction of the run after which near-field features join"
     )
     reflect_from: float = Field(
-        0.15,
+        0.0,
         ge=0,
         le=1,
         description="fraction of the run after which reflections join, where there are masks",
@@ -112,7 +112,7 @@ class TrainParams(Params):
     )
 
     rate_means: float = Field(
-        1e-3, gt=0, le=1, description="initial step of centres, in scene extents; ends at 1/100"
+        5e-4, gt=0, le=1, description="initial step of centres, in scene extents; ends at 1/100"
     )
     rate_opacities: float = Field(0.05, gt=0, le=1, description="step of raw opacities")
     rate_scales: float = Field(0.005, gt=0, le=1, description="step of log scales")
@@ -149,6 +149,21 @@ class TrainParams(Params):
     )
     rate_exposure: float = Field(
         0.002, gt=0, le=1, description="step of the logarithms of the photos' factors"
+    )
+
+    poses: Literal["fixed", "refined"] = Field(
+        "fixed",
+        description="refined: poses that structure from motion found are corrected on the way; "
+        "fixed: they are right",
+    )
+    pose_weight: float = Field(
+        1.0,
+        ge=0,
+        le=1e4,
+        description="weight of a pose's squared correction, in radians and camera distances",
+    )
+    rate_poses: float = Field(
+        5e-4, gt=0, le=0.1, description="step of a pose's correction; ends at 1/100"
     )
 
     ssim_share: float = Field(0.2, ge=0, le=1, description="share of 1 - SSIM in the image loss")
@@ -194,7 +209,7 @@ class TrainParams(Params):
         "it, on it and in the hollows that photos agree on, or throughout the object ball",
     )
     volume_steps: int = Field(
-        400,
+        1200,
         ge=0,
         le=100_000,
         description="steps of fitting a coarse volume that shows more hollows, where surfels start "

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from torch import Tensor
 
 from refdgs_pipe.ops import (
+    Pinhole,
     Plan,
     composited,
     image_loss_and_error,
@@ -57,14 +58,19 @@ def take_step(
         plan.begin()
     p = field.params
     extra: Extra = "distortion" if p.distortion_weight > 0 else "depth"
-    scene = field.scene(photo.pinhole, fraction)
-    picture = draw(scene, photo.pinhole, backdrop, extra=extra, plan=plan)
+    pinhole = field.pinhole(photo, fraction)
+    still = replace(pinhole, cam_from_world=pinhole.cam_from_world.detach())
+    scene = field.scene(still, fraction)
+    picture = draw(scene, pinhole, backdrop, extra=extra, plan=plan)
     target = composited(photo.rgb, photo.mask, backdrop)
     if field.exposures is not None and photo.which is not None:
         picture = replace(picture, image=picture.image * field.exposures.factor(photo.which))
-    loss, error = _loss(p, picture, photo, target)
+    loss, error = _loss(p, picture, photo, still, target)
     if field.exposures is not None and photo.which is not None:
         loss = loss + p.exposure_weight * field.exposures.strangeness(photo.which)
+    if field.poses is not None and pinhole is not photo.pinhole:
+        strangeness = field.poses.strangeness(photo.camera.name)
+        loss = loss + p.pose_weight * strangeness.to(loss)
     loss.backward()  # type: ignore[no-untyped-call]
     misfit = None if plan is None else plan.misfit
     field.observe(picture, photo.pinhole.width, misfit)
@@ -73,7 +79,7 @@ def take_step(
 
 
 def _loss(
-    p: TrainParams, picture: Picture, photo: TrainingPhoto, target: Tensor
+    p: TrainParams, picture: Picture, photo: TrainingPhoto, pinhole: Pinhole, target: Tensor
 ) -> tuple[Tensor, Tensor]:
     """What is minimised, and the mean squared error of the picture."""
     maps = picture.maps
@@ -89,7 +95,7 @@ def _loss(
             maps.normal,
             maps.depth,
             maps.alpha,
-            photo.pinhole,
+            pinhole,
             edge=p.normal_edge,
             weight=p.normal_weight,
         )

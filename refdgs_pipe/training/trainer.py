@@ -94,6 +94,7 @@ class Trainer:
             near=self.near,
             device=device,
             behind=seen.background,
+            refined=params.poses == "refined" and not views.has_known_poses,
             restored=read_checkpoint(scratch) is not None,
             progress=starting,
         )
@@ -109,10 +110,19 @@ class Trainer:
         self.loss, self.psnr = math.nan, math.nan
         self.curve: list[tuple[int, float, float]] = []
         self.plan = None if device == "cpu" else Plan(device)
-        recorder = Recorder() if device == "cuda" and params.cuda_graph != "off" else None
-        insists = params.cuda_graph == "on"
+        recorder, insists = self._recorder(), params.cuda_graph == "on"
         self.steps = RecordedSteps(self.field, recorder, insists=insists, warn=warn)
         self._later: Later[tuple[Moment, Asked]] = Later(device)  # loss, squared errors, needs
+
+    def _recorder(self) -> Recorder | None:
+        """What records a GPU's steps, where they can be and may be."""
+        wanted, refines = self.params.cuda_graph, self.field.poses is not None
+        if wanted == "on" and refines:
+            raise TrainingError(
+                "steps that refine poses cannot be recorded: set train.cuda_graph to auto or off, "
+                "or train.poses to fixed"
+            )
+        return Recorder() if self.device == "cuda" and wanted != "off" and not refines else None
 
     def run(self, progress: Progress) -> SurfelField:
         """Train to the end, or until `progress` raises; a checkpoint is kept either way.
