@@ -24,6 +24,11 @@ REFINED = SMALL.model_copy(
 OFF = 0.02  # radians, and camera distances
 
 
+@pytest.fixture(autouse=True)
+def one_thread() -> None:
+    torch.set_num_threads(1)
+
+
 def found(folder: Path, *, size: int = 48) -> tuple[Views, SparseModel]:
     """The procedural pair as if its poses had been found."""
     views, model = capture(folder, size=size)
