@@ -93,6 +93,16 @@ def reflected_share(f0: F32, roughness: F32, cosine: F32) -> F32:
     return np.asarray(f0 * scale + offset, np.float32)
 
 
+def passed_share(roughness: Any, cosine: Any) -> Any:
+    """Share of what a non-metal scatters that passes the layer that mirrors.
+
+    glTF 2.0, appendix B ("fresnel_mix"): what is mirrored is not scattered. Numpy arrays or torch
+    tensors.
+    """
+    scale, offset = reflection_line(roughness, cosine)
+    return 1 - (DIELECTRIC * scale + offset)
+
+
 def reflection_line(roughness: Any, cosine: Any) -> tuple[Any, Any]:
     """Factor and offset that turn f0 into the mirrored share; numpy arrays or torch tensors."""
     smooth = 1 - roughness

@@ -15,7 +15,7 @@ from refdgs_pipe.artifacts.appearance import Appearance
 from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.color import linear_from_srgb, srgb_from_linear
-from refdgs_pipe.light import DIELECTRIC, SMOOTHEST, Environment, reflected_share
+from refdgs_pipe.light import DIELECTRIC, SMOOTHEST, Environment, passed_share, reflected_share
 from refdgs_pipe.received import look_around
 from refdgs_pipe.tracing import Hits, Solid, at_hits
 
@@ -24,6 +24,7 @@ Ints = NDArray[np.int64]
 _SUPERSAMPLING = 2
 _STEEP = 0.04  # sRGB: pixels whose rays differ by more get four times as many
 _BOUNCES = 3
+_REFLECTIONS = 1  # of mirrored rays after the first, on the object itself
 _LIFT = 0.0025  # of the object's diagonal: mirrored rays start this far above the surface
 _CHUNK = 1 << 18
 
@@ -53,7 +54,8 @@ class Seen:
 
     Args:
         here: their materials; cosine: (N,) between the normal and the way to the eye.
-        received: (N, 3) linear radiance of a white matte surface there.
+        received: (N, 3) linear radiance of a white matte surface there, without what the layer
+            above it mirrors of it.
         mirrored: (N, 3) linear radiance that is mirrored to the eye.
     """
 
@@ -91,12 +93,14 @@ class Relit:
         faces = same[mesh.faces].astype(np.int32)
         sky = look_around(points, faces, mesh.normals[first], lift=float(self.lift))
         here = self._at(mesh.uv[first])
-        share = reflected_share(here.f0, here.roughness, np.full((len(points), 1), 0.7, np.float32))
+        typical = np.full((len(points), 1), 0.7, np.float32)
+        share = here.scattered * passed_share(here.roughness, typical)
+        share += reflected_share(here.f0, here.roughness, typical)
         sent = np.zeros_like(points)
         received = sent
         for _ in range(_BOUNCES):
             received = sky.received(self.light, sent)
-            sent = received * (here.scattered + share)
+            sent = received * share
         return received[same], sent[same]
 
     def draw(self, camera: Camera) -> tuple[F32, F32]:
@@ -155,25 +159,40 @@ class Relit:
         incoming = self.light.mirrored(mirrored, rough)
         start = at(mesh.vertices) + self.lift * _unit(plain)
         near = self.solid.first(start, mirrored)
-        incoming[near.rays] = self._seen(near, mirrored[near.rays])
-        share = reflected_share(here.f0, here.roughness, np.clip(along, 0.02, 1))
-        return Seen(here, along[:, 0], at(self._received), incoming * share)
+        incoming[near.rays] = self._seen(near, mirrored[near.rays], _REFLECTIONS)
+        cosine = np.clip(along, 0.02, 1)
+        share = reflected_share(here.f0, here.roughness, cosine)
+        received = at(self._received) * passed_share(here.roughness, cosine)
+        return Seen(here, along[:, 0], received, incoming * share)
 
     def _shade(self, hits: Hits, toward: F32) -> F32:
         """(N, 3) linear radiance towards the eye, (N, 3) unit."""
         seen = self.surface(hits, toward)
         return seen.here.scattered * seen.received + seen.mirrored
 
-    def _seen(self, hits: Hits, directions: F32) -> F32:
-        """(N, 3) linear radiance that mirrored rays meet on the object: one more reflection."""
+    def _seen(self, hits: Hits, directions: F32, more: int) -> F32:
+        """(N, 3) linear radiance that mirrored rays (N, 3) meet on the object.
+
+        Args:
+            more: further reflections that are followed; after these, what vertices send on average.
+        """
         mesh = self.mesh
-        here = self._at(at_hits(mesh.uv, mesh.faces, hits.face, hits.weights))
-        normal = _unit(at_hits(mesh.normals, mesh.faces, hits.face, hits.weights))
+
+        def at(values: F32) -> F32:
+            return at_hits(values, mesh.faces, hits.face, hits.weights)
+
+        if not more:
+            return at(self._sent)
+        here, normal = self._at(at(mesh.uv)), _unit(at(mesh.normals))
         along = -(normal * directions).sum(1, keepdims=True)
-        onward = self.light.mirrored(directions + 2 * along * normal, here.roughness[:, 0])
-        share = reflected_share(here.f0, here.roughness, np.clip(along, 0.02, 1))
-        received = at_hits(self._received, mesh.faces, hits.face, hits.weights)
-        return here.scattered * received + onward * share
+        onward = _unit(directions + 2 * along * normal)
+        incoming = self.light.mirrored(onward, here.roughness[:, 0])
+        near = self.solid.first(at(mesh.vertices) + self.lift * normal, onward)
+        incoming[near.rays] = self._seen(near, onward[near.rays], more - 1)
+        cosine = np.clip(along, 0.02, 1)
+        received = at(self._received) * passed_share(here.roughness, cosine)
+        share = reflected_share(here.f0, here.roughness, cosine)
+        return np.asarray(here.scattered * received + incoming * share, np.float32)
 
     def _at(self, uv: F32) -> Shaded:
         """The material at texture coordinates (N, 2)."""

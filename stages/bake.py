@@ -27,7 +27,7 @@ class BakeParams(Params):
         return size
 
 
-@stage(version=5, programs=("open3d-cpu", "scipy"))
+@stage(version=6, programs=("open3d-cpu", "scipy"))
 def bake(
     mesh: UvMesh,
     looks: Appearance,

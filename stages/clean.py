@@ -33,13 +33,13 @@ def clean(
     """Remove floaters, repair, close small holes, smooth, simplify, and fit to the views."""
     from refdgs_pipe.surface import cleanup, support
     from refdgs_pipe.surface.registration import fitted
-    from refdgs_pipe.training.render import render_surface_map
+    from refdgs_pipe.training import ground, render
 
     model = model.placed(field.poses)
     diameter = 2 * model.ball.radius
     job.progress("cleaning", 0, None)
     under = support.find_support(raw, model.up, diameter) if params.keep == "object" else None
-    if params.keep == "object" and under is None:
+    if params.keep == "object" and under is None and not ground.left_to_background(model, field):
         job.warn(support.NONE_FOUND)
     done = cleanup.clean(
         support.above_support(raw, under) if under else raw,
@@ -52,7 +52,7 @@ def clean(
     if (lost := done.removed.area_share) > 0.2:
         job.warn(f"{lost:.0%} of the fused surface was loose pieces and is removed")
     # A removed table still covers what is behind the object: such outlines are too far to count.
-    draw = partial(render_surface_map, field, device=job.device, threads=job.threads)
+    draw = partial(render.render_surface_map, field, device=job.device, threads=job.threads)
     limits = {"rounds": params.outlines, "faces": params.faces}
     mesh = fitted(done.mesh, model, draw, **limits, track=job.track)
     for name, value, unit in [*replace(done, mesh=mesh).figures(), *support.figures(under)]:

@@ -11,6 +11,7 @@ from refdgs_pipe.light import (
     ggx_lobe,
     level_weights,
     looked_up,
+    passed_share,
     reflected_share,
     solid_angles,
     texel_directions,
@@ -74,6 +75,15 @@ def test_what_is_mirrored_is_f0_straight_on_and_all_at_grazing() -> None:
     share = reflected_share(np.float32([[0.04], [0.04]]), smooth, np.float32([[1], [0.0]]))
     assert share[0, 0] == pytest.approx(0.04, abs=0.01)
     assert share[1, 0] > 0.9
+
+
+def test_what_a_smooth_layer_mirrors_is_not_scattered() -> None:
+    smooth = np.full((3, 1), 0.1, np.float32)
+    cosine = np.float32([[1], [0.3], [0.02]])
+    passed = passed_share(smooth, cosine)
+    mirrored = reflected_share(np.full((3, 1), 0.04, np.float32), smooth, cosine)
+    np.testing.assert_allclose(passed + mirrored, 1, atol=1e-6)
+    assert passed[0] > 0.94 and passed[2] < 0.3
 
 
 def test_rays_about_a_normal_have_the_cosines_mean() -> None:

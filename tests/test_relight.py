@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from painted import textured
 from scenes import look_at
 
@@ -25,6 +26,25 @@ def test_a_matte_ball_in_even_light_sends_what_it_receives_times_its_colour() ->
     picture, alpha = Relit(plain, SKY).draw(CAMERA)
     linear = ((picture[alpha == 1] + 0.055) / 1.055) ** 2.4
     assert 0.5 * 0.497 - 0.01 < np.median(linear) < 0.5 * 0.497 + 0.03  # and 4 % that it mirrors
+
+
+def test_between_two_mirrors_a_third_place_is_seen() -> None:
+    """A ray down onto a mirror goes up to another one and down again: to the matte ball's foot."""
+    ball = textured()
+    mirror = replace(
+        ball,
+        base_color=np.full_like(ball.base_color, 65535),
+        roughness=np.zeros_like(ball.roughness),
+        metallic=np.full_like(ball.metallic, 65535),
+    )
+    relit = Relit(mirror, SKY)
+    down = np.float32([[0, 0, -1]])
+    start = np.float32([0, 0, 1])  # its centre: every ray meets it from within, again and again
+    hits = relit.solid.first(start, down)
+    relit._sent[:] = 7.0
+    lit = [relit._seen(hits, down, more)[0, 0] for more in (0, 1)]
+    assert lit[0] == pytest.approx(7.0)
+    assert lit[1] > 3.0  # of the vertices met next, not of the sky's 0.5
 
 
 def test_outlines_are_drawn_with_sixteen_rays_and_the_rest_with_four() -> None:

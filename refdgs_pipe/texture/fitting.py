@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from refdgs_pipe.artifacts.appearance import Appearance
 from refdgs_pipe.artifacts.mesh import TriangleMesh
 from refdgs_pipe.light import Environment, blur, lookups
-from refdgs_pipe.received import Sky, links_of, look_around, spread
+from refdgs_pipe.received import Sky, links_of, look_around, patches, spread
 from refdgs_pipe.texture.sampling import Samples
 from refdgs_pipe.texture.swing import Swing
 from refdgs_pipe.texture.unknowns import Batch, State, Unknown
@@ -82,6 +82,8 @@ def _fitted(
     telling: list[Callable[[State], State]] = [_kept, problem.tell_metal, problem.tell_roughness]
     if not metal:
         telling[1] = _kept
+    else:
+        telling[2] = lambda state: problem.tell_roughness(problem.without_false_metal(state))
     for epochs, tell in zip(plan.epochs, telling, strict=True):
 
         def shown(number: int, before: int = done) -> None:
@@ -127,8 +129,9 @@ class _Problem:
         self.looks = [_look_matrix(samples.mirrored, rows) for rows in self.blur.heights[:-1]]
         order = np.random.default_rng(0).permutation(len(samples.face))
         parts = np.array_split(order, max(1, round(len(order) / _BATCH)))
+        self.rows = [np.sort(part) for part in parts]
         self.batches = [
-            Batch.of(samples, self.near, self.corners, self.looks, np.sort(part)) for part in parts
+            Batch.of(samples, self.near, self.corners, self.looks, rows) for rows in self.rows
         ]
 
     def _filled(self, values: F32) -> F32:
@@ -194,6 +197,35 @@ class _Problem:
         light, swing = self._swing(state)
         metallic = swing.metal(light, state.roughness)
         return self._lit(replace(state, metallic=metallic, told_metallic=metallic))
+
+    def without_false_metal(self, state: State) -> State:
+        """Metal stays where it explains what the views show better than one colour a place does.
+
+        Where the mesh is not the surface, colours swing from view to view as a metal's do. Whole
+        patches are judged, so that a metal that is fitted well in most places stays whole.
+        """
+        metal = np.flatnonzero(state.metallic > 0.5)
+        patch = patches(metal, self.links, len(state.metallic))
+        missed, varied = self._unexplained(state)
+        count = int(patch.max(initial=-1)) + 1
+        total = [np.bincount(patch, weights=v[metal], minlength=count) for v in (missed, varied)]
+        metallic = state.metallic.copy()
+        metallic[metal[(total[0] > total[1])[patch]]] = 0
+        return self._lit(replace(state, metallic=metallic, told_metallic=metallic))
+
+    def _unexplained(self, state: State) -> tuple[F32, F32]:
+        """(V,) squared sRGB differences around each vertex, from the fit and from its mean."""
+        missed, colours = np.zeros((len(self.far), 1)), np.zeros((len(self.far), 3))
+        unknown = Unknown(state)
+        with torch.no_grad():
+            for rows, batch in zip(self.rows, self.batches, strict=True):
+                colours[rows] = batch.target
+                apart = batch.shown(unknown, self.blur) - batch.target
+                missed[rows] = (apart**2).mean(1, keepdim=True)
+        back = self.corners.T
+        count = np.maximum(back @ np.ones((len(colours), 1)), 1e-6)
+        varied = back @ colours**2 - (back @ colours) ** 2 / count
+        return (back @ missed)[:, 0], np.maximum(varied, 0).mean(1)
 
     def tell_roughness(self, state: State) -> State:
         """Tell roughness by how much reflections swing.

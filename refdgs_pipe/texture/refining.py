@@ -6,9 +6,10 @@ pixel of the training photos shows as a line in the base colours of the texels u
 
     radiance = received * sum of (weight * base) + mirrored
 
-and a correction of the base colours is solved for by damped Gauss-Newton steps (texel by texel,
-as in simultaneous algebraic reconstruction), sRGB differences, robust. What mirrors little counts
-most, and metals do not count: so reflections do not end up in the colours.
+and a correction of the base colours is solved for by damped Gauss-Newton steps, each by some steps
+of conjugate gradients, sRGB differences, robust. What mirrors little counts most, and metals do not
+count: so reflections do not end up in the colours. Both sides of a cut are corrected
+alike.
 """
 
 from collections.abc import Iterable
@@ -17,13 +18,14 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, vstack
 
+from refdgs_pipe.artifacts.mesh import UvMesh
 from refdgs_pipe.artifacts.photos import Photo
 from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
 from refdgs_pipe.color import linear_from_srgb, srgb_from_linear
 from refdgs_pipe.relight import Relit, offsets, rays_of
-from refdgs_pipe.texture.texels import rasterize
+from refdgs_pipe.texture.texels import cuts, rasterize
 from refdgs_pipe.tracing import Hits, at_hits
 
 F32 = NDArray[np.float32]
@@ -34,9 +36,11 @@ _NEEDED = 2.0  # pixels for each covered texel that is solved for
 _SIDE = 2  # rays along a pixel's side
 _LEAST_COSINE = 0.2
 _WHITE = 0.99  # sRGB: brighter pixels are clipped and tell nothing
-_ROUNDS = 5
+_ROUNDS = 3
+_STEPS = 8  # of conjugate gradients in a round
 _ROBUST = 0.1  # sRGB: pixels that differ by more count less
-_DAMPING = 0.02  # of each round's step, in pixels that see the texel under white light
+_DAMPING = 0.01  # of the correction, in pixels that see the texel under white light
+_ALIKE = 0.5  # weight of two places being corrected alike, in such pixels
 
 
 @dataclass(frozen=True)
@@ -128,7 +132,7 @@ class Refiner:
         texels = rasterize(self.textured.mesh, size)
         base = linear_from_srgb(np.float32(1 / 65535) * self.textured.base_color.astype(np.float32))
         side = _side(size, len(texels.index), len(pixels.photo))
-        change = correction(pixels, _sized(base, side))
+        change = correction(pixels, _sized(base, side), _alike(self.textured.mesh, side))
         matte = 1 - self.textured.metallic.astype(np.float32)[..., None] / np.float32(65535)
         coded = srgb_from_linear(base + matte * _sized(change, size)).reshape(-1, 3)[texels.index]
         painted = texels.picture(np.round(coded * 65535).astype(np.uint16))
@@ -182,21 +186,64 @@ def _sized(picture: F32, side: int) -> F32:
     return np.asarray(cv2.resize(picture, shape, interpolation=how), np.float32)
 
 
-def correction(pixels: Pixels, base: F32) -> F32:
-    """(S, S, 3) linear, what to add to the base colours (S, S, 3)."""
+def correction(pixels: Pixels, base: F32, alike: tuple[F32, F32] | None = None) -> F32:
+    """(S, S, 3) linear, what to add to the base colours (S, S, 3).
+
+    Args:
+        alike: texture coordinates (K, 2) and (K, 2) of places that are corrected alike.
+    """
     side = len(base)
     under = _lookups(pixels.uv, side)
     there = under @ base.reshape(-1, 3)
+    rows = _stacked(under, alike, side)
+    back = rows.T.tocsr()
     change = np.zeros((side * side, 3), np.float32)
+    weight = np.full((rows.shape[0], 3), _ALIKE, np.float32)
     for _ in range(_ROUNDS):
-        linear = pixels.received * np.maximum(there + under @ change, 0) + pixels.mirrored
+        shown = rows @ change
+        linear = pixels.received * np.maximum(there + shown[: len(there)], 0) + pixels.mirrored
         apart = pixels.photo - srgb_from_linear(linear)
-        trust = pixels.matte / (1 + (apart**2).sum(1) / _ROBUST**2)
+        trust = (pixels.matte / (1 + (apart**2).sum(1) / _ROBUST**2))[:, None]
         slope = pixels.received * _srgb_slope(linear)
-        wanted = under.T @ (trust[:, None] * slope * apart)
-        known = under.T @ (trust[:, None] * slope * slope)
-        change += (wanted - _DAMPING * change) / (known + _DAMPING)
+        weight[: len(there)] = trust * slope * slope
+        wanted = -weight * shown
+        wanted[: len(there)] = trust * slope * apart
+        change += _solved(rows, back, weight, back @ wanted - np.float32(_DAMPING) * change)
     return np.asarray(change.reshape(side, side, 3), np.float32)
+
+
+def _alike(mesh: UvMesh, side: int) -> tuple[F32, F32]:
+    """Texture coordinates of places that are one: beside a chart and in it, across a cut."""
+    one, other = zip(cuts(mesh), rasterize(mesh, side).beside(), strict=True)
+    return np.concatenate(one), np.concatenate(other)
+
+
+def _stacked(under: csr_array, alike: tuple[F32, F32] | None, side: int) -> csr_array:
+    """The lookups of the pixels, and the differences of places that are corrected alike."""
+    if alike is None:
+        return under
+    one, other = (_lookups(uv[:, None], side) for uv in alike)
+    return csr_array(vstack([under, one - other], format="csr"))
+
+
+def _solved(rows: csr_array, back: csr_array, weight: F32, wanted: F32) -> F32:
+    """(T, 3) some way to what solves (rows^T weight rows + damping) x = wanted, each channel alone.
+
+    Conjugate gradients, preconditioned by how much each texel is seen.
+    """
+    damping = np.float32(_DAMPING)
+    scale = 1 / (abs(back) @ weight + damping)
+    found, left = np.zeros_like(wanted), wanted
+    aim = scale * left
+    toward, size = aim, (left * aim).sum(0)
+    for _ in range(_STEPS):
+        moved = back @ (weight * (rows @ toward)) + damping * toward
+        pace = size / np.maximum((toward * moved).sum(0), np.float32(1e-20))
+        found, left = found + pace * toward, left - pace * moved
+        aim = scale * left
+        before, size = size, (left * aim).sum(0)
+        toward = aim + size / np.maximum(before, np.float32(1e-20)) * toward
+    return np.asarray(found, np.float32)
 
 
 def _srgb_slope(linear: F32) -> F32:

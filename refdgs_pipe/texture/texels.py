@@ -13,6 +13,7 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+_ALONG = 8  # places looked at along an edge that is cut
 _CHUNK = 1 << 22  # candidate texels looked at together: bounds the memory
 
 
@@ -40,18 +41,33 @@ class Texels:
             total += self.weights[:, i, None] * values[corners[:, i]]
         return total
 
-    def picture(self, values: NDArray[Any]) -> NDArray[Any]:
-        """(size, size[, C]) values (N[, C]) in place; texels between charts copy the nearest."""
+    def beside(self) -> tuple[F32, F32]:
+        """Texture coordinates (K, 2) of the texels next to the charts, and of the nearest covered.
+
+        Looking up near a chart's border reads both.
+        """
+        nearest, distance = self._nearest()
+        rows = np.argwhere((distance > 0) & (distance < 2))
+        there = nearest[:, rows[:, 0], rows[:, 1]].T
+        uv = [(np.float32(0.5) + at[:, ::-1]) / np.float32(self.size) for at in (rows, there)]
+        return uv[0].astype(np.float32), uv[1].astype(np.float32)
+
+    def _nearest(self) -> tuple[Ints, F64]:
+        """(2, size, size) row and column of the nearest covered texel, and how far it is."""
         from scipy.ndimage import distance_transform_edt
 
         covered = np.zeros(self.size**2, bool)
         covered[self.index] = True
+        bare = ~covered.reshape(self.size, self.size)
+        distance, nearest = distance_transform_edt(bare, return_indices=True)
+        return nearest, distance
+
+    def picture(self, values: NDArray[Any]) -> NDArray[Any]:
+        """(size, size[, C]) values (N[, C]) in place; texels between charts copy the nearest."""
         shape = (self.size, self.size)
         flat = np.zeros((self.size**2, *values.shape[1:]), values.dtype)
         flat[self.index] = values
-        nearest = distance_transform_edt(
-            ~covered.reshape(shape), return_distances=False, return_indices=True
-        )
+        nearest, _ = self._nearest()
         image = flat.reshape(*shape, *values.shape[1:])
         return np.ascontiguousarray(image[nearest[0], nearest[1]])
 
@@ -65,6 +81,26 @@ def rasterize(mesh: UvMesh, size: int) -> Texels:
         face[index], weights[index] = candidate, inside
     covered = np.flatnonzero(face >= 0)
     return Texels(size, covered, face[covered], weights[covered])
+
+
+def cuts(mesh: UvMesh) -> tuple[F32, F32]:
+    """Texture coordinates (K, 2) and (K, 2) of the same places on both sides of the cuts."""
+    _, solid = np.unique(mesh.vertices, axis=0, return_inverse=True)
+    edges = np.stack([mesh.faces, np.roll(mesh.faces, -1, axis=1)], -1).reshape(-1, 2)
+    ends = solid.reshape(-1)[edges]
+    edges = np.where((ends[:, 0] < ends[:, 1])[:, None], edges, edges[:, ::-1])
+    ends = np.sort(ends, axis=1)
+    order = np.lexsort(ends.T)
+    edges, ends = edges[order], ends[order]
+    pairs = np.flatnonzero((ends[1:] == ends[:-1]).all(1))
+    one, other = edges[pairs], edges[pairs + 1]
+    cut = (one != other).any(1)
+    part = ((np.arange(_ALONG) + 0.5) / _ALONG).astype(np.float32)[:, None, None]
+    places = [
+        (mesh.uv[side[cut, 0]] * (1 - part) + mesh.uv[side[cut, 1]] * part).reshape(-1, 2)
+        for side in (one, other)
+    ]
+    return places[0], places[1]
 
 
 def coverage(corners: F32, size: int) -> NDArray[np.int32]:

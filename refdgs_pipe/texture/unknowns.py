@@ -15,6 +15,7 @@ from refdgs_pipe.light import (
     SMOOTHEST,
     Blur,
     level_weights,
+    passed_share,
     reflection_line,
 )
 from refdgs_pipe.texture.sampling import Samples, seen_roughness
@@ -165,7 +166,8 @@ class Batch:
         scale, offset = reflection_line(rough, self.cosine)
         f0 = DIELECTRIC * (1 - metal) + base * metal
         mirrored = (far * self.is_far + self.near) * (f0 * scale + offset)
-        return _encoded(base * (1 - metal) * received + mirrored)
+        scattered = base * (1 - metal) * passed_share(rough, self.cosine)
+        return _encoded(scattered * received + mirrored)
 
 
 @dataclass(frozen=True)

@@ -5,11 +5,13 @@ import torch
 from torch import Tensor
 
 from refdgs_pipe.artifacts.sparse_model import Ball, SparseModel
+from refdgs_pipe.artifacts.surfel_field import SurfelField
 from refdgs_pipe.camera import F64
 
 NEAR = 2.5  # points farther from the ball's centre do not vote, in ball radii
 THICK = 0.01  # either side of the plane, in ball radii
 LEAST = 30  # points on it
+_STRAY = 0.01  # of the object's surfels, that may lie lower than a ground that is not its own
 SHARE = 0.15  # of the points near by, that must lie on it
 
 
@@ -40,6 +42,12 @@ class Surroundings:
     def objects(self, points: Tensor, margin: float = 1.0) -> Tensor:
         """(N,) whether points (N, 3) can be the object's."""
         return self.near(points, margin) & self.above(points)
+
+
+def left_to_background(model: SparseModel, field: SurfelField) -> bool:
+    """Whether a field has the ground among its background, so that no mesh of it holds any."""
+    lower = field.geometry.means @ model.up <= THICK * model.ball.radius
+    return len(field.background) > 0 and _holds_points(model) and float(lower.mean()) < _STRAY
 
 
 def _holds_points(model: SparseModel) -> bool:

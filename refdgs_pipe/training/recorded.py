@@ -157,7 +157,9 @@ class RecordedSteps:
         """What a recording cannot be told anew."""
         camera = photo.pinhole
         size = (camera.width, camera.height, camera.near)
-        return (*size, photo.mask is None, photo.valid is None, *self._field.parts(fraction))
+        told = photo.mask is None, photo.valid is None
+        late = fraction >= self._field.params.specular_from
+        return (*size, *told, *self._field.parts(fraction), late)
 
     def _as_usual(
         self, photo: TrainingPhoto, backdrop: Tensor, fraction: float, plan: Plan | None

@@ -191,6 +191,18 @@ class TrainParams(Params):
         le=10,
         description="weight of normal smoothness away from diffuse and depth edges",
     )
+    specular_weight: float = Field(
+        0.1,
+        ge=0,
+        le=10,
+        description="weight of specular radiance: what diffuse colour explains as well is diffuse",
+    )
+    specular_from: float = Field(
+        0.4,
+        ge=0,
+        le=1,
+        description="fraction of the run after which specular radiance has a weight",
+    )
     ground: Literal["background", "object"] = Field(
         "background",
         description="what the surface that the object stands on belongs to, where there are no "

@@ -52,6 +52,23 @@ def test_a_mirror_is_metal_and_glossy_plastic_is_not(fitted: Appearance) -> None
     assert np.median(fitted.roughness[silver]) < 0.3
 
 
+def test_what_swings_as_a_metal_but_mirrors_nothing_is_none() -> None:
+    """As where the mesh lies behind the surface: its colours are those of other places."""
+    samples = samples_of(Scene((SILVER, PLASTIC), gradient_sky), two_balls())
+    alone = replace(samples, near_face=np.full_like(samples.near_face, -1))
+    silver = alone.face < len(sphere(16).faces)
+    random = np.random.default_rng(0)
+    specular = alone.specular.copy()
+    specular[~silver] = random.choice(specular[silver], int((~silver).sum()))
+    mixed = replace(alone, specular=specular)
+    light = (0.1 * SKY).astype(np.float32)
+    plan = Plan(epochs=(20, 15, 5))
+    found = fit(two_balls(), mixed, light, lift=0.01, metal=True, plan=plan)
+    left = found.points[:, 0] < 0
+    assert np.median(found.metallic[left]) > 0.7
+    assert np.median(found.metallic[~left]) < 0.2
+
+
 def test_the_lights_unit_is_found_from_what_mirrors_it(fitted: Appearance) -> None:
     assert fitted.environment is not None
     assert 0.6 < fitted.environment.mean() / SKY.mean() < 1.7

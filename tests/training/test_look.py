@@ -6,13 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from finished import field
 from safetensors.torch import load_file, save_file
 from scenes import glossy_pair
 from training.test_trainer import SMALL, capture, model_of, quiet
 
 from refdgs_pipe.artifacts.sparse_model import SparseModel
+from refdgs_pipe.artifacts.surfel_field import SurfelField, SurfelSet
 from refdgs_pipe.errors import Cancelled
-from refdgs_pipe.training.ground import Surroundings
+from refdgs_pipe.training.ground import Surroundings, left_to_background
 from refdgs_pipe.training.look import Look, look
 from refdgs_pipe.training.losses import out_of_place
 from refdgs_pipe.training.photos import load_training_photos, shrunk
@@ -42,6 +44,27 @@ def test_without_points_on_it_or_if_not_wanted_there_is_no_ground() -> None:
     below = torch.tensor([[0.1, 0.2, -0.5]])
     assert Surroundings(on_a_table(0.05), ground=True).objects(below).all()
     assert Surroundings(on_a_table(0.5), ground=False).objects(below).all()
+
+
+def test_a_field_tells_whether_its_ground_is_the_backgrounds() -> None:
+    def with_object(*heights: float, behind: int = 3) -> SurfelField:
+        means = np.array([[0.1, 0.2, z] for z in heights], np.float32)
+        plain = field()
+        return replace(plain, geometry=surfels(means), background=surfels(np.ones((behind, 3))))
+
+    above = with_object(0.1, 0.4)
+    assert left_to_background(on_a_table(0.5), above)
+    assert not left_to_background(on_a_table(0.05), above)  # no ground was found
+    assert not left_to_background(on_a_table(0.5), with_object(0.0, 0.4))  # it is the object's
+    assert not left_to_background(on_a_table(0.5), with_object(0.1, behind=0))
+
+
+def surfels(means: np.ndarray) -> SurfelSet:
+    count = len(means)
+    quats = np.tile(np.float32([1, 0, 0, 0]), (count, 1))
+    return SurfelSet(
+        means.astype(np.float32), quats, np.ones((count, 2), np.float32), np.ones(count), {}
+    )
 
 
 def test_surfels_start_where_the_look_found_the_object(tmp_path: Path) -> None:

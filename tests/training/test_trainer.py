@@ -20,6 +20,7 @@ from refdgs_pipe.ops import Pinhole, clip
 from refdgs_pipe.ops.reference_shade import depth_normals, srgb_of
 from refdgs_pipe.training import initial
 from refdgs_pipe.training.checkpoint import NAME, read_checkpoint, write_checkpoint
+from refdgs_pipe.training.losses import mirrored
 from refdgs_pipe.training.render import render_image, render_surface_map
 from refdgs_pipe.training.settings import TrainParams
 from refdgs_pipe.training.surfels import DensityRules, TrainableSet, densify
@@ -297,3 +298,24 @@ def test_the_work_behind_grows_to_one_and_late_steps_weigh_more(tmp_path: Path) 
     assert shares == sorted(shares)
     assert shares[-1] == pytest.approx(1)
     assert shares[1] - shares[0] < 0.6 * (shares[-1] - shares[-2])
+
+
+def test_specular_radiance_weighs_where_there_are_pixels() -> None:
+    radiance = torch.tensor([[3.0, 0.0, 0.0], [0.0, 6.0, 0.0], [math.nan, 1.0, 1.0]])
+    radiance.requires_grad_()
+    mean = mirrored(radiance, torch.tensor([4, 7, -1]), 10)
+    assert mean.item() == pytest.approx(9 / 30)
+    mean.backward()  # type: ignore[no-untyped-call]
+    assert radiance.grad is not None
+    assert radiance.grad.tolist() == [[pytest.approx(1 / 30)] * 3] * 2 + [[0.0] * 3]
+
+
+def test_what_diffuse_colour_explains_is_diffuse_in_the_end(tmp_path: Path) -> None:
+    views, model = capture(tmp_path / "views")
+    shares = []
+    for weight in (0.0, 3.0):
+        params = SMALL.model_copy(update={"specular_weight": weight, "specular_from": 0.2})
+        field = Trainer(views, model, params, tmp_path / str(weight)).run(lambda *_: None)
+        seen = render_surface_map(field, model.cameras[0])
+        shares.append(float(seen.specular.sum() / (seen.specular + seen.diffuse).sum()))
+    assert shares[1] < 0.8 * shares[0]
