@@ -32,10 +32,10 @@ class TrainParams(Params):
     )
     physical: bool = Field(True, description="the shader also sees roughness and cos(normal, view)")
     local_from: float = Field(
-        0.0, ge=0, le=1, description="fraction of the run after which near-field features join"
+        0.25, ge=0, le=1, description="fraction of the run after which near-field features join"
     )
     reflect_from: float = Field(
-        0.0,
+        0.15,
         ge=0,
         le=1,
         description="fraction of the run after which reflections join, where there are masks",
@@ -112,7 +112,7 @@ class TrainParams(Params):
     )
 
     rate_means: float = Field(
-        5e-4, gt=0, le=1, description="initial step of centres, in scene extents; ends at 1/100"
+        1e-3, gt=0, le=1, description="initial step of centres, in scene extents; ends at 1/100"
     )
     rate_opacities: float = Field(0.05, gt=0, le=1, description="step of raw opacities")
     rate_scales: float = Field(0.005, gt=0, le=1, description="step of log scales")
@@ -192,7 +192,7 @@ class TrainParams(Params):
         description="weight of normal smoothness away from diffuse and depth edges",
     )
     specular_weight: float = Field(
-        0.1,
+        0.0,
         ge=0,
         le=10,
         description="weight of specular radiance: what diffuse colour explains as well is diffuse",
