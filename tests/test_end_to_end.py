@@ -21,6 +21,7 @@ from scenes import glossy_pair, orbit
 
 SMALL = {
     "train.iterations": 40,
+    "train.volume_steps": 20,
     "train.surfels": 1500,
     "train.max_surfels": 2000,
     "train.local_surfels": 500,

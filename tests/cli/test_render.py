@@ -18,7 +18,9 @@ CAMERAS = orbit(6, size=32, focal=45.0)
 @pytest.fixture
 def model() -> Any:
     ball = SimpleNamespace(center=np.zeros(3), radius=1.2)
-    return SimpleNamespace(cameras=CAMERAS, ball=ball, up=np.array([0.0, 0.0, 1.0]))
+    found = SimpleNamespace(cameras=CAMERAS, ball=ball, up=np.array([0.0, 0.0, 1.0]), poses={})
+    found.placed = lambda poses: found
+    return found
 
 
 @pytest.fixture
