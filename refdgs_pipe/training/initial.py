@@ -22,7 +22,6 @@ from refdgs_pipe.training.volume import hollow_cells
 F32 = NDArray[np.float32]
 
 HULL_CELLS = 96  # along the ball's diameter
-OUTLINE_CELLS = 1.5  # discs of the hull move as far to lie on its outlines
 SKY_SURFELS = 4000
 SKY_DISTANCE = 8.0  # of the farthest camera from the ball, in their distance
 
@@ -149,7 +148,7 @@ def hull_cloud(
             seed=p.seed,
             progress=progress,
         )
-    return surface_cloud(hull, p.surfels, rng, cameras, covers)
+    return surface_cloud(hull, p.surfels, rng, cameras, covers, p.outline_cells)
 
 
 def volume_cloud(hull: Hull, count: int, rng: np.random.Generator) -> Cloud:
@@ -168,8 +167,13 @@ def surface_cloud(
     rng: np.random.Generator,
     cameras: list[Camera],
     masks: list[F32],
+    reach: float = 0.0,
 ) -> Cloud:
-    """Discs on the hull's boundary, oriented by its smoothed gradient, and on outlines near by."""
+    """Discs on the hull's boundary, oriented by its smoothed gradient.
+
+    Args:
+        reach: those with an outline of the masks as near as that, in cells, move there.
+    """
     shell = np.argwhere(boundary(hull.cells))
     smooth = hull.cells.astype(np.float32)
     for axis in range(3):
@@ -180,9 +184,10 @@ def surface_cloud(
     normals += 1e-6 * rng.normal(size=normals.shape)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     points = hull.ball.center + hull.ticks[picked] + hull.cell * (rng.random(picked.shape) - 0.5)
-    reach = OUTLINE_CELLS * hull.cell
-    shifts = outline_shifts(points, normals, reach, cameras, masks, _doubters(cameras))
-    points += shifts[:, None] * normals
+    if reach > 0:
+        far = reach * hull.cell
+        shifts = outline_shifts(points, normals, far, cameras, masks, _doubters(cameras))
+        points += shifts[:, None] * normals
     area = len(shell) * hull.cell**2 * 1.2
     sizes = np.full(count, math.sqrt(area / count) * 0.6)
     return Cloud(points, normals, sizes, np.full((count, 3), 0.3))

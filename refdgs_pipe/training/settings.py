@@ -18,7 +18,7 @@ class TrainParams(Params):
         0.5, gt=0, le=1, description="image scale at the start of the run; 1 = full size throughout"
     )
     coarse_until: float = Field(
-        0.3, ge=0, le=1, description="fraction of the run trained at the coarse scale"
+        0.45, ge=0, le=1, description="fraction of the run trained at the coarse scale"
     )
     seed: int = Field(0, ge=0, description="of all random choices")
 
@@ -191,6 +191,12 @@ class TrainParams(Params):
         le=10,
         description="weight of normal smoothness away from diffuse and depth edges",
     )
+    outline_cells: float = Field(
+        0.0,
+        ge=0,
+        le=5,
+        description="hull discs this near, in cells, start on the masks' outlines; 0: none",
+    )
     specular_weight: float = Field(
         0.0,
         ge=0,
@@ -221,7 +227,7 @@ class TrainParams(Params):
         "it, on it and in the hollows that photos agree on, or throughout the object ball",
     )
     volume_steps: int = Field(
-        1200,
+        400,
         ge=0,
         le=100_000,
         description="steps of fitting a coarse volume that shows more hollows, where surfels start "

@@ -282,7 +282,8 @@ def test_the_hull_of_a_ball_seen_from_all_sides_is_the_ball() -> None:
         masks.append((miss < 1).astype(np.float32))
     hull = initial.visual_hull(ball, cameras, masks)
     assert hull is not None
-    cloud = initial.surface_cloud(hull, 2000, np.random.default_rng(0), cameras, masks)
+    rng = np.random.default_rng(0)
+    cloud = initial.surface_cloud(hull, 2000, rng, cameras, masks, 1.5)
     radii = np.linalg.norm(cloud.points, axis=1)
     assert np.quantile(np.abs(radii - 1), 0.9) < 0.02  # a cell is 0.03 wide
     outward = (cloud.normals * cloud.points).sum(1) / radii
