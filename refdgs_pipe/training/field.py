@@ -271,6 +271,12 @@ class TrainableField:
         with_local = self.local is not None and fraction >= self.params.local_from
         return with_local, fraction >= self.reflect_from
 
+    def weighs_specular(self, fraction: float) -> bool:
+        """Whether specular radiance is part of the loss at this fraction of the schedule."""
+        p = self.params
+        mirrors = self.shader is not None and self.parts(fraction)[1]
+        return mirrors and p.specular_weight > 0 and fraction >= p.specular_from
+
     def adapts(self, iteration: int) -> bool:
         """Whether it is time to densify and prune, or to reset opacities."""
         return self._densifies(iteration) or self._resets(iteration)

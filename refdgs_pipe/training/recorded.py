@@ -158,8 +158,8 @@ class RecordedSteps:
         camera = photo.pinhole
         size = (camera.width, camera.height, camera.near)
         told = photo.mask is None, photo.valid is None
-        late = fraction >= self._field.params.specular_from
-        return (*size, *told, *self._field.parts(fraction), late)
+        field = self._field
+        return (*size, *told, *field.parts(fraction), field.weighs_specular(fraction))
 
     def _as_usual(
         self, photo: TrainingPhoto, backdrop: Tensor, fraction: float, plan: Plan | None

@@ -66,7 +66,7 @@ def take_step(
     if field.exposures is not None and photo.which is not None:
         picture = replace(picture, image=picture.image * field.exposures.factor(photo.which))
     loss, error = _loss(p, picture, photo, still, target)
-    if fraction >= p.specular_from and p.specular_weight > 0 and picture.radiance.requires_grad:
+    if field.weighs_specular(fraction):
         mirrored = losses.mirrored(picture.radiance, picture.pixels, picture.maps.alpha.numel())
         loss = loss + p.specular_weight * mirrored
     if field.exposures is not None and photo.which is not None:

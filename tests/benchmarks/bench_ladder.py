@@ -57,6 +57,7 @@ ROWS: dict[str, tuple[str, dict[str, Any]]] = {
     "local=shared": ("glossy", {"local": "shared"}),
     "mixing=sum": ("glossy", {"mixing": "sum"}),
     "physical=false": ("glossy", {"physical": False}),
+    "smooth_weight=0.05": ("glossy", {"smooth_weight": 0.05}),
     "smooth_weight=0": ("glossy", {"smooth_weight": 0.0}),
     "reflections at once": ("glossy", AT_ONCE),
     "specular_weight=0.1": ("glossy", AT_ONCE | {"specular_weight": 0.1}),
