@@ -157,11 +157,11 @@ def rasterize(
 ) -> Maps:
     """Render surfels and their features, front to back (2D Gaussian Splatting, Huang et al. 2024).
 
-    The ray is intersected with each disc; a screen-space Gaussian of sigma 1/sqrt(2) pixels around
-    the projected centre keeps small and edge-on discs visible. Contributions below 1/255 are
-    skipped and a pixel stops before its transmittance falls below 1e-4; these decisions and the
-    sorting by centre depth carry no gradient. Everything else does, to every input including the
-    camera's pose.
+    The ray is intersected with each disc; a screen-space Gaussian of sigma 1/sqrt(8) pixels (2DGS:
+    1/sqrt(2)) around the projected centre keeps small and edge-on discs visible. Contributions
+    below 1/255 are skipped and a pixel stops before its transmittance falls below 1e-4; these
+    decisions and the sorting by centre depth carry no gradient. Everything else does, to every
+    input including the camera's pose.
 
     Args:
         features: (N, C) what to blend; C <= 20, or 17 with normals.

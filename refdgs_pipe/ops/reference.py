@@ -13,7 +13,7 @@ MAX_ALPHA = 0.99
 MIN_TRANSMITTANCE = 1e-4
 HIT_RADIUS2 = 12.0
 MIN_DETERMINANT = 1e-7
-LOW_PASS = 2.0
+LOW_PASS = 8.0
 
 
 def rotation_matrices(quats: Tensor) -> Tensor:

@@ -29,6 +29,9 @@ _LEAST_LIGHT = 0.3
 # The brightest that surfaces reflect: white paint, polished silver.
 _WHITE, _SILVER = 0.8, 0.9
 _OPEN = 0.6  # what sees less of the sky says little about how bright it is
+# Reflectances between which plastic turns into metal: while the light may still be too bright,
+# and with the light that explains what was first told.
+_FIRST, _AGAIN = (0.12, 0.24), (0.2, 0.4)
 _BATCH = 50_000
 
 
@@ -37,12 +40,12 @@ class Plan:
     """How long and how hard the fit tries.
 
     Args:
-        epochs: times that all samples are gone through: before metal is told, before roughness is,
-            when the light has become sharp, and after.
+        epochs: times that all samples are gone through: before metal is told, before it is told
+            again, before roughness is, when the light has become sharp, and after.
         rate: Adam's step.
     """
 
-    epochs: tuple[int, int, int] = (20, 20, 20)
+    epochs: tuple[int, int, int, int] = (20, 10, 10, 20)
     rate: float = 0.05
 
 
@@ -79,11 +82,14 @@ def _fitted(
 ) -> Appearance:
     total, done = sum(plan.epochs), 0
     state = problem.start(metal=metal)
-    telling: list[Callable[[State], State]] = [_kept, problem.tell_metal, problem.tell_roughness]
+    telling: list[Callable[[State], State]] = [
+        _kept,
+        lambda state: problem.tell_metal(state, _FIRST),
+        lambda state: problem.tell_metal(state, _AGAIN),
+        lambda state: problem.tell_roughness(problem.without_false_metal(state)),
+    ]
     if not metal:
-        telling[1] = _kept
-    else:
-        telling[2] = lambda state: problem.tell_roughness(problem.without_false_metal(state))
+        telling = [_kept, _kept, _kept, problem.tell_roughness]
     for epochs, tell in zip(plan.epochs, telling, strict=True):
 
         def shown(number: int, before: int = done) -> None:
@@ -192,10 +198,16 @@ class _Problem:
         received = self.sky.received(around, self.sent)
         return replace(state, received=np.maximum(received, 1e-3))
 
-    def tell_metal(self, state: State) -> State:
-        """Tell metal by how much reflections swing."""
+    def tell_metal(self, state: State, between: tuple[float, float]) -> State:
+        """Tell metal by how much reflections swing.
+
+        Args:
+            between: what reflects no more than the first is no metal, no less than the second is.
+        """
         light, swing = self._swing(state)
-        metallic = swing.metal(light, state.roughness)
+        plastic, metal = between
+        step = np.clip((swing.reflectance(light, state.roughness) - plastic) / (metal - plastic), 0, 1)
+        metallic = np.asarray(step * step * (3 - 2 * step), np.float32)
         return self._lit(replace(state, metallic=metallic, told_metallic=metallic))
 
     def without_false_metal(self, state: State) -> State:

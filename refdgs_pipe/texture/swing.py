@@ -19,11 +19,10 @@ from refdgs_pipe.texture.sampling import Samples, seen_roughness
 F32 = NDArray[np.float32]
 Ints = NDArray[np.int64]
 
-# The swing of the reflections over that of the light lies between these from plastic to metal.
-_PLASTIC, _METAL = 0.2, 0.4
 _FAINT = 0.06  # light that varies less than this, linear, tells little about what mirrors it
 _SMOOTHING = 4
 _GRID = (0.1, 0.13, 0.16, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7, 1.0)
+_REFLECTANCES = (0.02, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7, 1.0, 1.4)
 
 
 @dataclass(frozen=True)
@@ -42,13 +41,22 @@ class Swing:
     near: F32
     links: Ints
 
-    def metal(self, light: Environment, roughness: F32) -> F32:
-        """(V,) metallic; (V,) `roughness` as far as it is known."""
+    def reflectance(self, light: Environment, roughness: F32) -> F32:
+        """(V,) the reflectance with which a vertex's reflections swing as they are seen to do.
+
+        Compared as photos show them, clipped at white: what is brighter swings without end in the
+        light that was found, and not in what was seen.
+
+        Args:
+            roughness: (V,) as far as it is known.
+        """
         mirrored = self._mirrored(light, np.asarray(self.corners @ roughness, np.float32))
-        varied = self._deviation(mirrored)
-        share = self._deviation(self.samples.specular) / np.hypot(varied, np.float32(_FAINT))
-        step = np.clip((share - _PLASTIC) / (_METAL - _PLASTIC), 0, 1)
-        return np.asarray(step * step * (3 - 2 * step), np.float32)
+        seen = np.maximum(self._deviation(np.clip(self.samples.specular, 0, 1)), 1e-5)
+        excess = np.empty((len(_REFLECTANCES), len(seen)), np.float32)
+        for i, value in enumerate(_REFLECTANCES):
+            shown = self._deviation(np.clip(np.float32(value) * mirrored, 0, 1))
+            excess[i] = np.log(seen / np.hypot(shown, np.float32(value * _FAINT)))
+        return _crossing(np.asarray(_REFLECTANCES, np.float32), excess)
 
     def roughness(self, light: Environment, metallic: F32, tint: F32) -> F32:
         """(V,) the roughness with which a vertex's reflections swing as they are seen to do."""

@@ -18,7 +18,7 @@ class TrainParams(Params):
         0.5, gt=0, le=1, description="image scale at the start of the run; 1 = full size throughout"
     )
     coarse_until: float = Field(
-        0.45, ge=0, le=1, description="fraction of the run trained at the coarse scale"
+        0.3, ge=0, le=1, description="fraction of the run trained at the coarse scale"
     )
     seed: int = Field(0, ge=0, description="of all random choices")
 
@@ -32,10 +32,10 @@ class TrainParams(Params):
     )
     physical: bool = Field(True, description="the shader also sees roughness and cos(normal, view)")
     local_from: float = Field(
-        0.25, ge=0, le=1, description="fraction of the run after which near-field features join"
+        0.0, ge=0, le=1, description="fraction of the run after which near-field features join"
     )
     reflect_from: float = Field(
-        0.15,
+        0.0,
         ge=0,
         le=1,
         description="fraction of the run after which reflections join, where there are masks",
@@ -112,7 +112,7 @@ class TrainParams(Params):
     )
 
     rate_means: float = Field(
-        1e-3, gt=0, le=1, description="initial step of centres, in scene extents; ends at 1/100"
+        5e-4, gt=0, le=1, description="initial step of centres, in scene extents; ends at 1/100"
     )
     rate_opacities: float = Field(0.05, gt=0, le=1, description="step of raw opacities")
     rate_scales: float = Field(0.005, gt=0, le=1, description="step of log scales")
@@ -192,13 +192,13 @@ class TrainParams(Params):
         description="weight of normal smoothness away from diffuse and depth edges",
     )
     outline_cells: float = Field(
-        0.0,
+        1.5,
         ge=0,
         le=5,
         description="hull discs this near, in cells, start on the masks' outlines; 0: none",
     )
     specular_weight: float = Field(
-        0.0,
+        0.1,
         ge=0,
         le=10,
         description="weight of specular radiance: what diffuse colour explains as well is diffuse",
@@ -227,7 +227,7 @@ class TrainParams(Params):
         "it, on it and in the hollows that photos agree on, or throughout the object ball",
     )
     volume_steps: int = Field(
-        400,
+        1200,
         ge=0,
         le=100_000,
         description="steps of fitting a coarse volume that shows more hollows, where surfels start "

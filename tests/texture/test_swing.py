@@ -1,5 +1,7 @@
 """Roughness and metal are told from how reflections swing, whatever the normals."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scenes import gradient_sky
@@ -66,11 +68,21 @@ def test_roughness_is_told_with_normals_that_are_all_wrong(
     assert abs(np.median(told) - roughness) < 0.03
 
 
-@pytest.mark.parametrize(("f0", "metal"), [(0.04, 0.0), (0.9, 1.0)])
-def test_metal_is_what_swings_as_much_as_the_light(f0: float, metal: float) -> None:
+@pytest.mark.parametrize("f0", [0.04, 0.5, 0.9])
+def test_reflectance_is_told_with_normals_that_are_all_wrong(f0: float) -> None:
     rough = np.full(len(BALL.vertices), 0.2, np.float32)
-    told = swing(0.2, f0).metal(Environment(windows()), rough)
-    assert np.abs(told - metal).max() < 0.2
+    told = swing(0.2, f0).reflectance(Environment(windows()), rough)
+    assert abs(np.median(told) / f0 - 1) < 0.3
+
+
+def test_lamps_that_photos_clip_make_no_plastic_of_a_metal() -> None:
+    """The light found may be brighter than any photo can show; only what is shown is compared."""
+    metal = swing(0.1, 0.9)
+    photos = replace(metal.samples, specular=np.minimum(metal.samples.specular, 1))
+    found = np.where(windows() > 1, 3 * windows(), windows())
+    rough = np.full(len(BALL.vertices), 0.1, np.float32)
+    told = replace(metal, samples=photos).reflectance(Environment(found), rough)
+    assert np.median(told) > 0.5
 
 
 def test_what_bends_within_a_pixel_looks_rougher() -> None:
