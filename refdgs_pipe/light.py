@@ -19,6 +19,7 @@ DIELECTRIC = 0.04  # reflectance of glTF's and USD's non-metals, straight on
 SMOOTHEST = 0.1  # roughness of a mirror here: its lobe is about as wide as a texel
 # Roughness and rows of the pictures that are blurred for it; between them one interpolates.
 ROUGHNESSES = (SMOOTHEST, 0.2, 0.35, 0.6, 1.0)
+_SHARP = 64  # rows from which pictures are halved before they are blurred
 _SHARE = 1e-3  # of a lobe's peak: less is left out
 _CHUNK = 512
 
@@ -120,7 +121,8 @@ class Blur:
     Args:
         height: rows of the picture.
         heights: rows of the blurred ones, as in ROUGHNESSES; the last is of matte surfaces.
-        operators: sparse matrices that are applied to the picture, or to its half.
+        operators: sparse matrices that are applied to the picture with `heights[1]` rows, and to
+            half of that.
     """
 
     height: int
@@ -129,34 +131,48 @@ class Blur:
 
     def __call__(self, picture: F32) -> list[F32]:
         """(height * 2 height, 3) to [(h * 2h, 3)] for every h of `heights`."""
-        half = halved(picture, self.height)
-        return [picture, self.operators[0] @ picture, *(op @ half for op in self.operators[1:])]
+        middle = reduced(picture, self.height, self.heights[1])
+        half = reduced(middle, self.heights[1], self.heights[1] // 2)
+        return [picture, self.operators[0] @ middle, *(op @ half for op in self.operators[1:])]
 
     def transposed(self, gradients: list[F32]) -> F32:
         """The gradient of the picture from those of its blurred ones."""
         half = sum(op.T @ g for op, g in zip(self.operators[1:], gradients[2:], strict=True))
-        wide = np.asarray(half, np.float32).reshape(self.height // 2, self.height, 3)
-        spread = np.repeat(np.repeat(wide, 2, axis=0), 2, axis=1).reshape(-1, 3) / 4
-        direct = gradients[0] + self.operators[0].T @ gradients[1]
-        return np.asarray(direct + spread, np.float32)
+        rows = self.heights[1]
+        middle = self.operators[0].T @ gradients[1] + _shared_out(half, rows // 2, rows)
+        return np.asarray(gradients[0] + _shared_out(middle, rows, self.height), np.float32)
 
 
 @lru_cache(maxsize=2)
 def blur(height: int) -> Blur:
     """The blur of pictures with that many rows, a multiple of 4."""
-    half = height // 2
-    heights = (height, height, half, half // 2, half // 2, half // 2)
-    operators = [_operator(ggx_lobe, ROUGHNESSES[1], height, height)]
+    middle = height
+    while middle >= 2 * _SHARP and middle % 8 == 0:
+        middle //= 2
+    half = middle // 2
+    heights = (height, middle, half, half // 2, half // 2, half // 2)
+    operators = [_operator(ggx_lobe, ROUGHNESSES[1], middle, middle)]
     for roughness, rows in zip(ROUGHNESSES[2:], heights[2:], strict=False):
         operators.append(_operator(ggx_lobe, roughness, half, rows))
     operators.append(_operator(cosine_lobe, 1.0, half, heights[-1]))
     return Blur(height, heights, tuple(operators))
 
 
-def halved(picture: F32, height: int) -> F32:
-    """(h/2 * h, 3) a flat picture of half the rows, by averaging."""
-    parts = picture.reshape(height // 2, 2, height, 2, 3)
+def reduced(picture: F32, height: int, rows: int) -> F32:
+    """(rows * 2 rows, 3) a flat picture of fewer rows, a divisor of `height`, by averaging."""
+    step = height // rows
+    if step == 1:
+        return picture
+    parts = picture.reshape(rows, step, 2 * rows, step, 3)
     return np.ascontiguousarray(parts.mean((1, 3)).reshape(-1, 3))
+
+
+def _shared_out(gradient: Any, rows: int, height: int) -> F32:
+    """The gradient of a picture from that of its `reduced` one."""
+    step = height // rows
+    coarse = np.asarray(gradient, np.float32).reshape(rows, 2 * rows, 3)
+    fine = np.repeat(np.repeat(coarse, step, axis=0), step, axis=1).reshape(-1, 3)
+    return np.asarray(fine / np.float32(step * step), np.float32)
 
 
 def level_weights(roughness: Any) -> list[Any]:

@@ -41,16 +41,17 @@ def test_even_light_stays_even_however_rough() -> None:
     np.testing.assert_allclose(even.scattered(unit(50)), 2, rtol=1e-5)
 
 
-def test_light_is_blurred_as_ggx_says() -> None:
-    around = texel_directions(64).reshape(-1, 3)
+@pytest.mark.parametrize("height", [64, 128])
+def test_light_is_blurred_as_ggx_says(height: int) -> None:
+    around = texel_directions(height).reshape(-1, 3)
     slope = np.array([0.48, -0.6, 0.64])
 
     def bright(directions: np.ndarray) -> np.ndarray:
         return np.repeat(np.exp(3 * directions @ slope)[:, None], 3, axis=1)
 
-    light = Environment(bright(around).reshape(64, 128, 3).astype(np.float32))
+    light = Environment(bright(around).reshape(height, -1, 3).astype(np.float32))
     towards = np.concatenate([slope[None], unit(20)]).astype(np.float32)
-    size = solid_angles(64).reshape(-1)
+    size = solid_angles(height).reshape(-1)
     for roughness in ROUGHNESSES[1:]:
         weights = ggx_lobe(towards @ around.T, roughness) * size
         exact = weights @ bright(around) / weights.sum(1, keepdims=True)
@@ -59,11 +60,15 @@ def test_light_is_blurred_as_ggx_says() -> None:
         np.testing.assert_allclose(found, exact, rtol=0.03, atol=0.02)
 
 
-def test_levels_add_up_and_the_gradient_is_the_transpose() -> None:
+def test_the_levels_weights_add_up() -> None:
     rough = np.linspace(ROUGHNESSES[0], 1, 40)
     np.testing.assert_allclose(sum(level_weights(rough)), 1, atol=1e-6)
-    blurring = blur(16)
-    picture = RANDOM.random((512, 3)).astype(np.float32)
+
+
+@pytest.mark.parametrize("height", [16, 128])
+def test_the_gradient_of_the_blur_is_its_transpose(height: int) -> None:
+    blurring = blur(height)
+    picture = RANDOM.random((2 * height**2, 3)).astype(np.float32)
     levels = blurring(picture)
     gradients = [RANDOM.random(level.shape).astype(np.float32) for level in levels]
     forward = sum(float((a * b).sum()) for a, b in zip(levels, gradients, strict=True))

@@ -206,7 +206,8 @@ class _Problem:
         """
         light, swing = self._swing(state)
         plastic, metal = between
-        step = np.clip((swing.reflectance(light, state.roughness) - plastic) / (metal - plastic), 0, 1)
+        found = swing.reflectance(light, state.roughness)
+        step = np.clip((found - plastic) / (metal - plastic), 0, 1)
         metallic = np.asarray(step * step * (3 - 2 * step), np.float32)
         return self._lit(replace(state, metallic=metallic, told_metallic=metallic))
 
