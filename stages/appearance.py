@@ -1,5 +1,6 @@
 """Tell the surface's material from the light that falls on it."""
 
+from functools import partial
 from typing import Literal
 
 from pydantic import Field
@@ -8,6 +9,7 @@ from refdgs_pipe.artifacts.appearance import Appearance
 from refdgs_pipe.artifacts.mesh import Mesh
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.surfel_field import SurfelField
+from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.params import Params
 from refdgs_pipe.pipeline.stage import Job, stage
 
@@ -15,21 +17,23 @@ from refdgs_pipe.pipeline.stage import Job, stage
 class AppearanceParams(Params):
     """The fit of materials and light to what the field shows."""
 
-    metal: Literal["tell", "none"] = Field(
-        "tell", description="tell metal by how its light swings, or make everything non-metal"
-    )
-    samples: int = Field(
-        300_000, ge=1000, le=20_000_000, description="places compared in all views, a count"
-    )
+    metal: Literal["tell", "none"] = Field("tell", description="tell it by swinging light, or none")
+    samples: int = Field(300_000, ge=1000, le=20_000_000, description="places compared, a count")
     light: int = Field(64, ge=16, le=256, multiple_of=4, description="rows of the light, in texels")
     tolerance: float = Field(0.01, gt=0, le=0.2, description="mesh to field, in ball diameters")
 
 
-@stage(version=5, programs=("open3d-cpu", "scipy"))
+@stage(version=6, programs=("open3d-cpu", "scipy"))
 def appearance(
-    mesh: Mesh, field: SurfelField, model: SparseModel, params: AppearanceParams, job: Job
+    mesh: Mesh,
+    field: SurfelField,
+    views: Views,
+    model: SparseModel,
+    params: AppearanceParams,
+    job: Job,
 ) -> Appearance:
     """Fit roughness, metal, colours and light, so that the asset looks as the field does."""
+    from refdgs_pipe.artifacts.photos import load_photo
     from refdgs_pipe.texture.fitting import fit, matte
     from refdgs_pipe.texture.sampling import Sampler
     from refdgs_pipe.training.environment import typical_light
@@ -42,19 +46,14 @@ def appearance(
     cameras = [c for c in model.cameras if c.split == "train"] or list(model.cameras)
     sampler = Sampler(mesh, tolerance=tolerance, per_view=-(-params.samples // len(cameras)))
     for camera in job.track(cameras, "looking at places"):
-        small = camera.fitted(sampler.pixels)
-        view = render_surface_map(field, small, device=job.device, threads=job.threads)
-        sampler.add(view, focal=float(camera.K[0, 0]))
+        photo = load_photo(views, model, camera, scale=sampler.scale(camera))
+        view = render_surface_map(field, photo.camera, device=job.device, threads=job.threads)
+        sampler.add(view, photo=photo.alone(), focal=float(camera.K[0, 0]))
     samples = sampler.samples()
-    found = fit(
-        mesh,
-        samples,
-        typical_light(field, samples.roughness, samples.specular, params.light),
-        lift=tolerance / 2,
-        metal=params.metal == "tell",
-        threads=job.threads,
-        progress=lambda done, total: job.progress("telling material from light", done, total),
-    )
+    light = typical_light(field, samples.roughness, samples.specular, params.light)
+    lift, metal = tolerance / 2, params.metal == "tell"
+    told = partial(job.progress, "telling material from light")
+    found = fit(mesh, samples, light, lift=lift, metal=metal, threads=job.threads, progress=told)
     job.measure("mean light", round(float(found.environment.mean()), 3), "linear, 1 is white")
     job.measure("metal", round(float((found.metallic > 0.5).mean()), 3), "share of the vertices")
     return found

@@ -1,5 +1,8 @@
 """Fit a Ref-DGS field to the photos."""
 
+from functools import partial
+
+from refdgs_pipe.artifacts.mesh import Mesh
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.surfel_field import SurfelField
 from refdgs_pipe.artifacts.views import Views
@@ -10,26 +13,29 @@ LEAST_OVERLAP = 0.6  # of masks and field
 LEAST_FILL = 0.02  # of the object ball's disc, where there are no masks
 
 
-@stage(version=6)
+@stage(version=7, programs=("pymeshlab", "open3d-cpu"))
 def train(views: Views, model: SparseModel, params: TrainParams, job: Job) -> SurfelField:
     """Optimise geometry, local reflection and background surfels and the shader."""
     import torch
 
+    from refdgs_pipe.surface.own import own_surface
     from refdgs_pipe.training.budget import planned, train_within
+    from refdgs_pipe.training.render import render_surface_map
     from refdgs_pipe.training.trainer import Trainer
 
-    def starting(done: int, total: int) -> None:
-        job.progress("looking for a start", done, total)
+    def surface(field: SurfelField) -> Mesh:
+        draw = partial(render_surface_map, field, device=job.device, threads=job.threads)
+        return own_surface(model.placed(field.poses), draw, track=job.track, stop=job.stop)
 
+    looking = partial(job.progress, "looking for a start")
     torch.set_num_threads(job.threads)
     if job.device == "cuda":
         params = planned(params, model, vram=job.vram, warn=job.warn)
+    given = {"device": job.device, "warn": job.warn, "starting": looking, "surface": surface}
     trainer, field = train_within(
-        lambda p: Trainer(
-            views, model, p, job.scratch, device=job.device, warn=job.warn, starting=starting
-        ),
+        lambda p: Trainer(views, model, p, job.scratch, **given),
         params,
-        lambda done, total, note, work: job.progress("training", done, total, note, work),
+        partial(job.progress, "training"),
         job.warn,
     )
     shown = trainer.coverage(field)
@@ -41,12 +47,6 @@ def train(views: Views, model: SparseModel, params: TrainParams, job: Job) -> Su
             "photos or more train.iterations"
         )
     job.measure("object shown", round(100 * shown, 1), "%")
-    job.measure("steps", trainer.iteration)
-    if trainer.early:
-        job.measure("stopped early", trainer.early)
-    job.measure("loss", round(trainer.loss, 5))
-    job.measure("train PSNR", round(trainer.psnr, 2), "dB")
-    job.measure("surfels", len(field.geometry))
-    job.measure("local surfels", len(field.local))
-    job.measure("background surfels", len(field.background))
+    for name, value, unit in trainer.figures(field):
+        job.measure(name, value, unit)
     return field

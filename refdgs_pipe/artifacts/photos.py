@@ -30,6 +30,11 @@ class Photo:
     mask: F32 | None
     valid: NDArray[np.bool_]
 
+    def alone(self) -> F32:
+        """(H, W, 3) the pixels that show the object and nothing else, or the photo; else NaN."""
+        shown = self.valid if self.mask is None else self.valid & (self.mask > 0.999)
+        return np.where(shown[..., None], self.rgb, np.float32(np.nan))
+
 
 def load_photo(views: Views, model: SparseModel, camera: Camera, *, scale: float = 1.0) -> Photo:
     """Read the photo of a camera of the model.

@@ -91,7 +91,7 @@ class MaterialScore:
 
     Args:
         base_color_rmse: linear RGB, scale-invariant.
-        roughness_rank: Spearman's correlation with the truth over the parts; None: all alike.
+        roughness_rank: Spearman's correlation with the truth over the materials; None: all alike.
         metallic_right: share of all texels on the right side of one half.
     """
 

@@ -27,7 +27,7 @@ VIEW_ROWS = {
 }
 MATERIAL_ROWS = {
     "base_color_rmse": ("base colour", 4, "linear, scale-invariant RMSE"),
-    "roughness_rank": ("roughness order", 3, "rank correlation over the parts"),
+    "roughness_rank": ("roughness order", 3, "rank correlation over the materials"),
     "metallic_right": ("metal", 3, "share of the texels told right"),
 }
 SURFACE_ROWS = {

@@ -71,12 +71,22 @@ def score_materials(
                 metallic_right=float(is_right.mean()),
             )
         )
-    rank = rank_correlation(
-        np.array([score.roughness for score in scores]),
-        np.array([score.true_roughness for score in scores]).round(3),
-    )
+    rank = roughness_rank(rough, roughness, part, parts)
     error = scale_invariant_rmse(base, albedo)
     return MaterialScore(error, rank, right / len(texel), tuple(scores))
+
+
+def roughness_rank(rough: F32, true: F32, part: Ints, parts: list[TruePart]) -> float | None:
+    """Rank correlation of the materials' median roughness; parts of one material count as one.
+
+    Args:
+        rough, true: (N,) of texels; part: (N,) their places in `parts`.
+    """
+    names = [one.material for one in parts]
+    kind = np.array([names.index(name) for name in names])[part]
+    kinds = np.unique(kind)
+    told, truth = (np.array([np.median(v[kind == k]) for k in kinds]) for v in (rough, true))
+    return rank_correlation(told, truth.round(3))
 
 
 def _places(textured: TexturedMesh, solid: Solid, camera: Camera, truth: MaterialTruth) -> _Places:

@@ -5,6 +5,7 @@ import zipfile
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,10 +51,14 @@ class ViewTruth:
 
 @dataclass(frozen=True)
 class TruePart:
-    """A part of the object: its name, and 1 for metal, 0 for anything else."""
+    """A part of the object: its name, and 1 for metal, 0 for anything else.
+
+    Parts of one `material` are told alike in all but name and number.
+    """
 
     name: str
     metallic: float
+    material: str
 
 
 @dataclass(frozen=True)
@@ -144,10 +149,17 @@ def read_true_parts(path: Path) -> dict[int, TruePart]:
     try:
         records = json.loads(path.read_text("utf-8"))
         return {
-            int(r["object_id"]): TruePart(str(r["name"]), float(r["metallic"])) for r in records
+            int(r["object_id"]): TruePart(str(r["name"]), float(r["metallic"]), _material(r))
+            for r in records
         }
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise CorruptError(f"{path}: expected a list of materials ({error})") from None
+
+
+def _material(record: dict[str, Any]) -> str:
+    """What two parts have in common if they are made of one material."""
+    told = {k: v for k, v in record.items() if k not in ("object_id", "name")}
+    return json.dumps(told, sort_keys=True)
 
 
 def read_material_truth(files: TruthFiles, ids: list[int]) -> MaterialTruth | None:

@@ -61,7 +61,7 @@ def _materials(facts: Facts, found: Scores) -> list[tuple[Content, ...]]:
     rank = "all alike" if score.roughness_rank is None else f"{score.roughness_rank:.3f}"
     return [
         ("base colour", f"{score.base_color_rmse:.4f}", "linear RGB, scale-invariant RMSE"),
-        ("roughness order", rank, "rank correlation with the truth over the parts"),
+        ("roughness order", rank, "rank correlation with the truth over the materials"),
         ("metal told right", f"{score.metallic_right:.1%}", "of the texels"),
     ]
 

@@ -85,7 +85,7 @@ def _fitted(
     telling: list[Callable[[State], State]] = [
         _kept,
         lambda state: problem.tell_metal(state, _FIRST),
-        lambda state: problem.tell_metal(state, _AGAIN),
+        lambda state: problem.shown_by_photos(problem.tell_metal(state, _AGAIN)),
         lambda state: problem.tell_roughness(problem.without_false_metal(state)),
     ]
     if not metal:
@@ -210,6 +210,17 @@ class _Problem:
         step = np.clip((found - plastic) / (metal - plastic), 0, 1)
         metallic = np.asarray(step * step * (3 - 2 * step), np.float32)
         return self._lit(replace(state, metallic=metallic, told_metallic=metallic))
+
+    def shown_by_photos(self, state: State) -> State:
+        """Metals shall look as in the photos from now on, which are sharper than the field.
+
+        What is no metal keeps the field's colours, whose split is known.
+        """
+        metal = np.asarray(self.corners @ state.metallic, np.float32)[:, None] > 0.5
+        wanted = np.where(metal, self.samples.photo, self.samples.radiance)
+        pairs = zip(self.rows, self.batches, strict=True)
+        self.batches = [batch.showing(wanted[rows]) for rows, batch in pairs]
+        return state
 
     def without_false_metal(self, state: State) -> State:
         """Metal stays where it explains what the views show better than one colour a place does.

@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 
 from refdgs_pipe.artifacts.mesh import TriangleMesh
 from refdgs_pipe.artifacts.surface_map import SurfaceMap
+from refdgs_pipe.camera import Camera
+from refdgs_pipe.color import linear_from_srgb
 from refdgs_pipe.errors import MeshError
 from refdgs_pipe.received import links_of, spread
 from refdgs_pipe.tracing import Solid, at_hits
@@ -29,6 +31,8 @@ class Samples:
         mirrored: (N, 3) unit, where the mirrored ray goes.
         near_face: (N,) the face that it meets, -1 for none; near_weights: (N, 3).
         diffuse, specular: (N, 3) linear radiance, as the field splits it.
+        photo: (N, 3) linear radiance in the photo, clipped at white; the field's where no photo
+            tells.
         roughness: (N,) as the field has it.
         footprint: (N,) the square of the GGX alpha that the normals within a pixel of the photo
             make up, see `seen_roughness`.
@@ -42,6 +46,7 @@ class Samples:
     near_weights: F32
     diffuse: F32
     specular: F32
+    photo: F32
     roughness: F32
     footprint: F32
 
@@ -66,15 +71,16 @@ class Sampler:
         self._solid = Solid(mesh.vertices, mesh.faces)
         self._parts: list[Samples] = []
 
-    @property
-    def pixels(self) -> int:
-        """The longest side of a view that has enough pixels to take."""
-        return max(256, int(3 * float(np.sqrt(self.per_view))))
+    def scale(self, camera: Camera) -> float:
+        """At most 1: the size of a view that has enough pixels to take."""
+        longest = max(256, int(3 * float(np.sqrt(self.per_view))))
+        return min(1.0, longest / max(camera.width, camera.height))
 
-    def add(self, view: SurfaceMap, *, focal: float | None = None) -> int:
+    def add(self, view: SurfaceMap, *, photo: F32 | None = None, focal: float | None = None) -> int:
         """Take what one view shows; gives how many of its pixels were taken.
 
         Args:
+            photo: (H, W, 3) sRGB of the view's size, NaN where it does not show the object alone.
             focal: of the photo that the field learnt this from, pixels; None: as the view's.
         """
         camera = view.camera
@@ -98,6 +104,11 @@ class Sampler:
         mirrored = 2 * cosine[good, None] * normal[good] - toward[good]
         pixel = hits.distance[good] / np.float32(focal or camera.K[0, 0])
         bent = at_hits(self._bent, mesh.faces, face, weights)[:, 0]
+        diffuse, specular = (of.reshape(-1, 3)[rows] for of in (view.diffuse, view.specular))
+        seen = diffuse + specular
+        if photo is not None:
+            there = linear_from_srgb(photo.reshape(-1, 3)[rows])
+            seen = np.where(np.isfinite(there), there, seen)
         near_face, near_weights = self._mirror(face, weights, mirrored.astype(np.float32))
         self._parts.append(
             Samples(
@@ -107,8 +118,9 @@ class Sampler:
                 mirrored.astype(np.float32),
                 near_face,
                 near_weights,
-                view.diffuse.reshape(-1, 3)[rows],
-                view.specular.reshape(-1, 3)[rows],
+                diffuse,
+                specular,
+                np.clip(seen, 0, 1).astype(np.float32),
                 view.roughness.reshape(-1)[rows],
                 (2 * bent * pixel**2 / 12).astype(np.float32),
             )

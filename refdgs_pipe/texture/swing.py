@@ -59,12 +59,19 @@ class Swing:
         return _crossing(np.asarray(_REFLECTANCES, np.float32), excess)
 
     def roughness(self, light: Environment, metallic: F32, tint: F32) -> F32:
-        """(V,) the roughness with which a vertex's reflections swing as they are seen to do."""
+        """(V,) the roughness with which a vertex's reflections swing as they are seen to do.
+
+        Where a metal is, photos are asked, which are sharper than the field: all that a metal sends
+        is mirrored, and what does not swing is left out.
+        """
         metal = metallic[:, None]
         f0 = np.asarray(self.corners @ (DIELECTRIC * (1 - metal) + tint * metal), np.float32)
         cosine = np.clip(self.samples.cosine, 0.02, 1)[:, None]
         far = (self.samples.near_face < 0).astype(np.float32)
-        seen = np.maximum(self._deviation(np.clip(self.samples.specular, 0, 1), far), 1e-5)
+        split = self._deviation(np.clip(self.samples.specular, 0, 1), far)
+        photo = np.clip(self.samples.photo - self.samples.diffuse, 0, 1)
+        whole = self._deviation(photo, far)
+        seen = np.maximum(split + metallic * (whole - split), 1e-5)
         excess = np.empty((len(_GRID), len(seen)), np.float32)
         for i, value in enumerate(_GRID):
             rough = np.full(len(cosine), value, np.float32)

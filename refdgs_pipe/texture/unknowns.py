@@ -1,7 +1,7 @@
 """The unknowns of the fit of material and light, and the pictures that they make: torch's side."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -129,7 +129,7 @@ class Batch:
     def of(
         cls, samples: Samples, near: F32, corners: Any, looks: Sequence[Any], rows: Ints
     ) -> "Batch":
-        """Some rows of the samples.
+        """Some rows of the samples, as the field shows them.
 
         Args:
             near: (N, 3) radiance that mirrored rays meet on the mesh.
@@ -150,6 +150,10 @@ class Batch:
             tensor(samples.footprint[rows, None]),
             _encoded(tensor(samples.radiance[rows])),
         )
+
+    def showing(self, radiance: F32) -> "Batch":
+        """The same places as they shall be: (n, 3) linear."""
+        return replace(self, target=_encoded(torch.from_numpy(radiance)))
 
     def shown(self, unknown: Unknown, blurring: Blur) -> Tensor:
         """(n, 3) what the asset shows there, sRGB-encoded."""

@@ -209,6 +209,13 @@ class TrainParams(Params):
         le=1,
         description="fraction of the run after which specular radiance has a weight",
     )
+    renew_at: float = Field(
+        0.65,
+        ge=0,
+        le=1,
+        description="fraction of the run at which surfels start anew on the field's own mesh; "
+        "1: never",
+    )
     ground: Literal["background", "object"] = Field(
         "background",
         description="what the surface that the object stands on belongs to, where there are no "

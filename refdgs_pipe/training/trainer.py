@@ -11,10 +11,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from refdgs_pipe.artifacts.mesh import TriangleMesh
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.surfel_field import SurfelField
 from refdgs_pipe.artifacts.views import Views
-from refdgs_pipe.errors import Cancelled, TrainingError
+from refdgs_pipe.errors import Cancelled, MeshError, TrainingError
 from refdgs_pipe.ops import Later, Plan
 from refdgs_pipe.ops.cuda_graph import Recorder
 from refdgs_pipe.ops.native import keep_freed_memory
@@ -26,6 +27,7 @@ from refdgs_pipe.training.look import Look, look
 from refdgs_pipe.training.photos import TrainingPhoto, load_training_photos, numbered, shrunk
 from refdgs_pipe.training.plateau import Plateau, hold_out
 from refdgs_pipe.training.recorded import RecordedSteps
+from refdgs_pipe.training.renewal import renew
 from refdgs_pipe.training.settings import TrainParams
 from refdgs_pipe.training.step import NEAR, Taken
 from refdgs_pipe.training.work import share_behind
@@ -55,6 +57,7 @@ class Trainer:
         photos: those of the views, if they are in memory already.
         warn: told what does not go as it should and does not end the run.
         starting: told the steps done and their number while the start is looked for; may raise.
+        surface: the mesh of a field, to start anew on; may raise.
     """
 
     def __init__(
@@ -68,6 +71,7 @@ class Trainer:
         photos: list[TrainingPhoto] | None = None,
         warn: Callable[[str], None] | None = None,
         starting: Callable[[int, int], None] | None = None,
+        surface: Callable[[SurfelField], TriangleMesh] | None = None,
     ) -> None:
         keep_freed_memory()
         self.params, self.model, self.scratch, self.device = params, model, scratch, device
@@ -106,6 +110,8 @@ class Trainer:
         self.plateau = Plateau(params, photos, self.field.reflect_from)
         self.skipped = 0  # steps of the schedule that were left out
         self.scales: dict[float, list[TrainingPhoto]] = {1.0: self.full}
+        self.surface, self.warn = surface, warn
+        self.renewed = surface is None or params.renew_at >= 1
         self.iteration = 0
         self.loss, self.psnr = math.nan, math.nan
         self.curve: list[tuple[int, float, float]] = []
@@ -178,6 +184,19 @@ class Trainer:
             f"{p.patience_tolerance:g} dB in {p.patience:.0%} of the run"
         )
 
+    def figures(self, field: SurfelField) -> list[tuple[str, float | int | str, str]]:
+        """What to tell of a run that is through: name, value, unit."""
+        early = [("stopped early", self.early, "")] if self.early else []
+        return [
+            ("steps", self.iteration, ""),
+            *early,
+            ("loss", round(self.loss, 5), ""),
+            ("train PSNR", round(self.psnr, 2), "dB"),
+            ("surfels", len(field.geometry), ""),
+            ("local surfels", len(field.local), ""),
+            ("background surfels", len(field.background), ""),
+        ]
+
     def coverage(self, field: SurfelField) -> float:
         """How much of the object the field shows, over a few training photos; see `coverage`."""
         photos = self.full[:: max(1, len(self.full) // COVERAGE_VIEWS)]
@@ -192,6 +211,8 @@ class Trainer:
 
     def step(self) -> None:
         """One photo, one gradient, one update."""
+        if not self.renewed and self.position >= self.params.renew_at * self.params.iterations:
+            self._renew()
         fraction = self.position / self.params.iterations
         photo = self._photo(fraction)
         backdrop = torch.rand(3, generator=self.rng) if self.masked else torch.zeros(3)
@@ -203,6 +224,22 @@ class Trainer:
             self.field.adapt(self.position, self.rng)
             if self.plan is not None:
                 self.plan.settle()
+
+    def _renew(self) -> None:
+        """Let the object's surfels start anew on the mesh of the field as it is."""
+        assert self.surface is not None
+        self._read(all_of_them=True)
+        try:
+            mesh = self.surface(self.field.freeze())
+        except MeshError as error:
+            if self.warn is not None:
+                self.warn(f"surfels do not start anew: {error}")
+        else:
+            rng = np.random.default_rng(self.params.seed)
+            renew(self.field.geometry, mesh, self.params.max_surfels, rng)
+            if self.plan is not None:
+                self.plan.settle()
+        self.renewed = True
 
     def _update(self, moment: Moment) -> None:
         self.field.set_rates(moment.fraction)
@@ -276,6 +313,7 @@ class Trainer:
             "psnr": self.psnr,
         }
         figures |= {"skipped": self.skipped, "plateau": self.plateau.state(), "curve": self.curve}
+        figures["renewed"] = self.renewed
         write_checkpoint(self.scratch, tensors, json.dumps(figures))
 
     def _resume(self) -> None:
@@ -288,5 +326,6 @@ class Trainer:
         self.field.restore(tensors)
         self.iteration, self.loss, self.psnr = (figures[k] for k in ("iteration", "loss", "psnr"))
         self.skipped = figures.get("skipped", 0)
+        self.renewed = figures.get("renewed", self.renewed)
         self.plateau.restore(figures.get("plateau", {}))
         self.curve = [(int(a), float(b), float(c)) for a, b, c in figures["curve"]]

@@ -55,7 +55,7 @@ def test_the_table_names_each_figure_its_unit_and_its_protocol() -> None:
         "F-score 0.9000 share within 0.5 % of the diagonal",
         "F-score 1.0000 share within 1 % of the diagonal",
         "base colour 0.0800 linear, scale-invariant RMSE",
-        "roughness order 0.900 rank correlation over the parts",
+        "roughness order 0.900 rank correlation over the materials",
         "metal 0.850 share of the texels told right",
         "lid roughness 0.25 truth 0.20, error 0.06; metal 85% right, truth 1",
         "render rate 9.50 views/s 320 x 320 on cpu, threads: 2",

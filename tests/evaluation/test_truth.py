@@ -1,5 +1,6 @@
 """Ground truth beside photos: found by name, decoded safely, refused in words."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,13 @@ from PIL import Image
 from refdgs_pipe.artifacts.capture import Capture
 from refdgs_pipe.artifacts.truth import view_truth_files
 from refdgs_pipe.errors import CorruptError, InputError
-from refdgs_pipe.evaluation.truth import read_true_mesh, read_true_points, read_view_truth
+from refdgs_pipe.evaluation.materials import roughness_rank
+from refdgs_pipe.evaluation.truth import (
+    read_true_mesh,
+    read_true_parts,
+    read_true_points,
+    read_view_truth,
+)
 from refdgs_pipe.files.ply import write_mesh, write_ply
 
 
@@ -36,6 +43,25 @@ def test_everything_beside_a_photo_of_our_scenes_is_read(tmp_path: Path) -> None
     assert np.allclose(truth.normal, [0, 0, 1], atol=0.005)  # half a step of 8 bits
     assert truth.foreground is not None and truth.foreground.all()
     assert (truth.depth == 2).all() and (truth.alpha == 1).all()
+
+
+def test_parts_of_one_material_count_as_one(tmp_path: Path) -> None:
+    chrome, glaze = {"metallic": 1.0, "alpha_ggx": 0.01}, {"metallic": 0, "alpha_ggx": 0.03}
+    records = [
+        {"object_id": 0, "name": "body", **chrome},
+        {"object_id": 4, "name": "plate", **glaze},
+        {"object_id": 5, "name": "spout", **chrome},
+    ]
+    path = tmp_path / "materials.json"
+    path.write_text(json.dumps(records))
+    parts = list(read_true_parts(path).values())
+    assert parts[0].material == parts[2].material != parts[1].material
+    part = np.repeat([0, 1, 2], [30, 20, 5])
+    true = np.float32([0.1, 0.17, 0.1])[part]
+    # the spout alone is told rougher than the plate, but chrome in all is not
+    told = np.float32([0.12, 0.16, 0.2])[part]
+    assert roughness_rank(told, true, part, parts) == pytest.approx(1)
+    assert roughness_rank(np.float32([0.2, 0.16, 0.2])[part], true, part, parts) == -1
 
 
 def test_normals_without_a_surface_are_white(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from solids import sphere
 
 from refdgs_pipe.artifacts.appearance import Appearance
 from refdgs_pipe.artifacts.mesh import TriangleMesh
+from refdgs_pipe.color import linear_from_srgb
 from refdgs_pipe.errors import CorruptError, MeshError
 from refdgs_pipe.light import texel_directions
 from refdgs_pipe.texture.fitting import Plan, fit, matte
@@ -97,6 +98,21 @@ def test_openness_is_what_the_other_ball_leaves_of_the_sky(fitted: Appearance) -
 def test_a_matte_field_has_no_light_of_its_own() -> None:
     looks = matte(two_balls(), lift=0.01)
     assert looks.environment is None and looks.metallic.max() == 0 and looks.roughness.min() == 1
+
+
+def test_a_sample_has_the_photos_colour_where_the_photo_shows_the_object() -> None:
+    scene, mesh = Scene((SILVER, PLASTIC), gradient_sky), two_balls()
+    view = scene.surface_map(orbit(24)[5])
+    photo = np.full((*view.depth.shape, 3), 0.5, np.float32)
+    photo[:, : photo.shape[1] // 2] = np.nan
+    plain, told = (Sampler(mesh, tolerance=0.03, per_view=1500) for _ in range(2))
+    plain.add(view)
+    told.add(view, photo=photo)
+    field, found = plain.samples(), told.samples()
+    np.testing.assert_array_equal(field.photo, np.clip(field.radiance, 0, 1))
+    from_photo = np.abs(found.photo - linear_from_srgb(np.float32(0.5))).max(1) < 1e-6
+    assert 0.2 < from_photo.mean() < 0.8
+    np.testing.assert_array_equal(found.photo[~from_photo], field.photo[~from_photo])
 
 
 def test_without_any_sample_there_is_no_fit() -> None:

@@ -50,6 +50,7 @@ def swing(roughness: float, f0: float, footprint: float = 0.0) -> Swing:
         np.zeros((count, 3), np.float32),
         np.full((count, 3), 0.3, np.float32),
         mirrored * share,
+        np.clip(0.3 + mirrored * share, 0, 1),
         rough[:, 0],
         np.full(count, footprint, np.float32),
     )
@@ -83,6 +84,21 @@ def test_lamps_that_photos_clip_make_no_plastic_of_a_metal() -> None:
     rough = np.full(len(BALL.vertices), 0.1, np.float32)
     told = replace(metal, samples=photos).reflectance(Environment(found), rough)
     assert np.median(told) > 0.5
+
+
+def test_a_metals_roughness_is_told_from_photos_and_a_glazes_from_the_field() -> None:
+    """Photos are sharper than the field, but shadows and print swing in them too."""
+    blurred, sharp = swing(0.5, 0.1), swing(0.2, 0.1)
+    photo = np.clip(sharp.samples.radiance, 0, 1)
+    both = replace(blurred, samples=replace(blurred.samples, photo=photo))
+    tint = np.full((len(BALL.vertices), 3), 0.1, np.float32)
+    light = Environment(windows())
+    metal = both.roughness(light, np.ones(len(tint), np.float32), tint)
+    assert abs(np.median(metal) - 0.2) < 0.03
+    weaker = swing(0.5, DIELECTRIC)
+    both = replace(weaker, samples=replace(weaker.samples, photo=photo))
+    plastic = both.roughness(light, np.zeros(len(tint), np.float32), tint)
+    assert abs(np.median(plastic) - 0.5) < 0.03
 
 
 def test_what_bends_within_a_pixel_looks_rougher() -> None:

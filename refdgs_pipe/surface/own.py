@@ -1,0 +1,49 @@
+"""The surface that views of a field agree on, as one mesh."""
+
+import threading
+from collections.abc import Callable, Iterable
+
+from refdgs_pipe.artifacts.mesh import Mesh
+from refdgs_pipe.artifacts.sparse_model import SparseModel
+from refdgs_pipe.artifacts.surface_map import SurfaceMap
+from refdgs_pipe.camera import Camera
+from refdgs_pipe.surface.cleanup import clean
+from refdgs_pipe.surface.registration import fitted
+from refdgs_pipe.surface.tsdf import Volume
+
+VOXEL = 0.004  # of the ball's diameter, as the stage extract has it
+LONGEST = 960  # pixels of the maps that are fused
+# As the stage clean has them, lengths in the ball's diameters
+FLOATER, HOLE, SMOOTHING, ROUNDS, FACES = 0.08, 0.15, 5, 3, 50_000
+
+
+def own_surface(
+    model: SparseModel,
+    draw: Callable[[Camera], SurfaceMap],
+    *,
+    track: Callable[[list[Camera], str], Iterable[Camera]],
+    stop: threading.Event | None = None,
+) -> Mesh:
+    """Fuse what training cameras see, clean it and fit it to its outlines and colours.
+
+    Args:
+        draw: what a camera sees.
+        track: wraps the cameras, to report progress under a label; may raise.
+
+    Raises:
+        MeshError: the views show no surface.
+    """
+    cameras = [c for c in model.cameras if c.split == "train"] or list(model.cameras)
+    volume = Volume(model.ball, voxel=VOXEL)
+    for camera in track(cameras, "fusing depth"):
+        volume.integrate(draw(camera.fitted(LONGEST)))
+    diameter = 2 * model.ball.radius
+    done = clean(
+        volume.extract(min_views=min(2, volume.views)),
+        floater=FLOATER * diameter,
+        hole=HOLE * diameter,
+        smoothing=SMOOTHING,
+        faces=FACES - FACES // 16,
+        stop=stop,
+    )
+    return fitted(done.mesh, model, draw, rounds=ROUNDS, faces=FACES, track=track)
