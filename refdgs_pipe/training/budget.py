@@ -45,7 +45,7 @@ def need_of(params: TrainParams, model: SparseModel) -> Need:
         scale = min(1.0, params.max_side / max(camera.width, camera.height))
         sizes.append(camera.width * camera.height * scale * scale)
     kept = sum(sizes) * 5 * (1 + params.coarse**2)  # RGB, mask and validity, at two scales
-    surfels = params.max_surfels + params.background_surfels
+    surfels = params.most_surfels + params.background_surfels
     if params.reflection and params.local == "dual":
         surfels += params.max_local_surfels
     numbers = params.environment_height**2 * 2 * 4 if params.reflection else 0

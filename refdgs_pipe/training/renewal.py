@@ -18,19 +18,12 @@ from refdgs_pipe.training.surfels import TrainableSet
 
 F64 = NDArray[np.float64]
 
-MORE = 1.15  # discs for each that was there
 OPACITY = 0.9
 OVERLAP = 0.6  # standard deviation of a disc, in the distances between discs
 
 
-def renew(group: TrainableSet, mesh: TriangleMesh, most: int, rng: np.random.Generator) -> None:
-    """Replace a set's surfels by discs on a mesh, which carry what the nearest surfels carried.
-
-    Args:
-        mesh: not empty.
-        most: as many discs at most.
-    """
-    count = min(most, round(MORE * len(group)))
+def renew(group: TrainableSet, mesh: TriangleMesh, count: int, rng: np.random.Generator) -> None:
+    """Replace a set's surfels by `count` discs on a mesh, which carry what the nearest carried."""
     cloud = discs_on(mesh, count, rng)
     device = group.raw["means"].device
     before = group.raw["means"].detach().cpu().numpy()

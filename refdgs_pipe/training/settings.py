@@ -61,7 +61,9 @@ class TrainParams(Params):
     )
 
     surfels: int = Field(20_000, ge=100, le=2_000_000, description="geometry surfels at the start")
-    max_surfels: int = Field(60_000, ge=100, le=5_000_000, description="geometry surfels at most")
+    max_surfels: int = Field(
+        60_000, ge=100, le=5_000_000, description="geometry surfels at most, until they start anew"
+    )
     surfels_per_pixel: float = Field(
         1.5,
         gt=0,
@@ -216,6 +218,9 @@ class TrainParams(Params):
         description="fraction of the run at which surfels start anew on the field's own mesh; "
         "1: never",
     )
+    renew_surfels: float = Field(
+        1.7, gt=0, le=10, description="surfels that then start for each that was there, a factor"
+    )
     ground: Literal["background", "object"] = Field(
         "background",
         description="what the surface that the object stands on belongs to, where there are no "
@@ -240,3 +245,9 @@ class TrainParams(Params):
         description="steps of fitting a coarse volume that shows more hollows, where surfels start "
         "carved; 0: none",
     )
+
+    @property
+    def most_surfels(self) -> int:
+        """Geometry surfels at most, those that start anew among them."""
+        renewed = self.renew_surfels if self.renew_at < 1 else 1.0
+        return round(self.max_surfels * max(1.0, renewed))

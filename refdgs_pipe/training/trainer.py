@@ -236,7 +236,8 @@ class Trainer:
                 self.warn(f"surfels do not start anew: {error}")
         else:
             rng = np.random.default_rng(self.params.seed)
-            renew(self.field.geometry, mesh, self.params.max_surfels, rng)
+            count = round(self.params.renew_surfels * len(self.field.geometry))
+            renew(self.field.geometry, mesh, count, rng)
             if self.plan is not None:
                 self.plan.settle()
         self.renewed = True

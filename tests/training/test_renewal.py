@@ -11,7 +11,7 @@ from training.test_trainer import SMALL, capture, quiet
 from refdgs_pipe.artifacts.mesh import TriangleMesh
 from refdgs_pipe.artifacts.surfel_field import SurfelField
 from refdgs_pipe.errors import Cancelled, MeshError
-from refdgs_pipe.training.renewal import MORE, discs_on, renew
+from refdgs_pipe.training.renewal import discs_on, renew
 from refdgs_pipe.training.surfels import TrainableSet, raw_diffuse_of
 from refdgs_pipe.training.trainer import Trainer
 
@@ -49,7 +49,7 @@ def test_renewed_surfels_carry_what_the_nearest_carried() -> None:
     }
     group = TrainableSet(raw, dict.fromkeys(raw, 0.01))
     renew(group, BALL, 100, np.random.default_rng(0))
-    assert len(group) == round(2 * MORE)
+    assert len(group) == 100
     right = group.raw["means"][:, 0] > 0
     assert (group.raw["raw_roughness"] == torch.where(right, 0.5, -0.5)).all()
     assert (torch.sigmoid(group.raw["raw_opacities"]) > 0.8).all()
@@ -77,7 +77,7 @@ def test_a_run_starts_anew_once_and_goes_on(tmp_path: Path) -> None:
         trainer.step()
         counts.append(len(trainer.field.geometry))
     assert surface.asked == 1
-    assert counts[10] == min(HALFWAY.max_surfels, round(MORE * counts[9]))
+    assert counts[10] == round(HALFWAY.renew_surfels * counts[9]) <= HALFWAY.most_surfels
     assert np.isfinite(trainer.loss)
 
 
