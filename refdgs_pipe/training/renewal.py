@@ -6,13 +6,16 @@ surface; discs that lie on it, turned as it is turned, go on from there.
 """
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+from torch import Tensor
 
 from refdgs_pipe.artifacts.mesh import TriangleMesh
+from refdgs_pipe.artifacts.surfel_field import SurfelSet
 from refdgs_pipe.training.initial import Cloud, raw_discs
 from refdgs_pipe.training.surfels import TrainableSet
 
@@ -22,14 +25,37 @@ OPACITY = 0.9
 OVERLAP = 0.6  # standard deviation of a disc, in the distances between discs
 
 
-def renew(group: TrainableSet, mesh: TriangleMesh, count: int, rng: np.random.Generator) -> None:
-    """Replace a set's surfels by `count` discs on a mesh, which carry what the nearest carried."""
+@dataclass(frozen=True)
+class Fresh:
+    """Surfels that are to replace a set's.
+
+    Args:
+        source: (M,) which surfel of the set each takes after; raw: what it does not take over.
+    """
+
+    source: Tensor
+    raw: dict[str, Tensor]
+
+    def replace(self, group: TrainableSet) -> None:
+        """Let them take the place of the set that they were made for."""
+        group.rebuild(self.source, self.raw, torch.ones_like(self.source, dtype=torch.bool))
+
+    def frozen(self, group: TrainableSet) -> SurfelSet:
+        """What the set would then be."""
+        raw = {
+            name: self.raw.get(name, old.detach()[self.source]) for name, old in group.raw.items()
+        }
+        return TrainableSet(raw, dict.fromkeys(raw, 0.0)).freeze()
+
+
+def renewed(group: TrainableSet, mesh: TriangleMesh, count: int, rng: np.random.Generator) -> Fresh:
+    """`count` discs on a mesh, which carry what the nearest surfels of a set carry."""
     cloud = discs_on(mesh, count, rng)
     device = group.raw["means"].device
     before = group.raw["means"].detach().cpu().numpy()
     nearest = torch.from_numpy(cKDTree(before).query(cloud.points)[1]).to(device)
     raw = {name: value.to(device) for name, value in raw_discs(cloud, OPACITY).items()}
-    group.rebuild(nearest, raw, torch.ones(count, dtype=torch.bool, device=device))
+    return Fresh(nearest, raw)
 
 
 def discs_on(mesh: TriangleMesh, count: int, rng: np.random.Generator) -> Cloud:

@@ -4,7 +4,7 @@ import json
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +27,7 @@ from refdgs_pipe.training.look import Look, look
 from refdgs_pipe.training.photos import TrainingPhoto, load_training_photos, numbered, shrunk
 from refdgs_pipe.training.plateau import Plateau, hold_out
 from refdgs_pipe.training.recorded import RecordedSteps
-from refdgs_pipe.training.renewal import renew
+from refdgs_pipe.training.renewal import renewed
 from refdgs_pipe.training.settings import TrainParams
 from refdgs_pipe.training.step import NEAR, Taken
 from refdgs_pipe.training.work import share_behind
@@ -47,6 +47,7 @@ Progress = Callable[[int, int, str, float], None]  # step, steps, figures, share
 CHECKPOINT_SECONDS = 30.0
 REPORT_STEPS = 10
 COVERAGE_VIEWS = 6
+LEAST_KEPT = 0.97  # of what the field shows, by the mesh that its surfels start anew on
 
 
 class Trainer:
@@ -229,15 +230,19 @@ class Trainer:
         """Let the object's surfels start anew on the mesh of the field as it is."""
         assert self.surface is not None
         self._read(all_of_them=True)
+        field, group = self.field.freeze(), self.field.geometry
+        rng, count = np.random.default_rng(self.params.seed), self.params.renew_surfels * len(group)
         try:
-            mesh = self.surface(self.field.freeze())
+            fresh = renewed(group, self.surface(field), round(count), rng)
+            before = self.coverage(field)
+            shown = self.coverage(replace(field, geometry=fresh.frozen(group))) / max(before, 1e-6)
+            if shown < LEAST_KEPT:
+                raise MeshError(f"their mesh shows only {shown:.0%} of the object")
         except MeshError as error:
             if self.warn is not None:
-                self.warn(f"surfels do not start anew: {error}")
+                self.warn(f"surfels do not start anew, and normals stay as they are: {error}")
         else:
-            rng = np.random.default_rng(self.params.seed)
-            count = round(self.params.renew_surfels * len(self.field.geometry))
-            renew(self.field.geometry, mesh, count, rng)
+            fresh.replace(group)
             if self.plan is not None:
                 self.plan.settle()
         self.renewed = True

@@ -60,6 +60,7 @@ ROWS: dict[str, tuple[str, dict[str, Any]]] = {
     "smooth_weight=0": ("glossy", {"smooth_weight": 0.0}),
     "diffuse first": ("glossy", DIFFUSE_FIRST),
     "specular_weight=0": ("glossy", {"specular_weight": 0.0}),
+    "renew_at=1": ("glossy", {"renew_at": 1.0}),
     "outline_cells=0": ("glossy", {"outline_cells": 0.0}),
     "volume_steps=0": ("glossy", {"volume_steps": 0}),
     "start=hull": ("glossy", {"start": "hull"}),

@@ -5,13 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from solids import sphere
+from scipy.spatial import ConvexHull
+from solids import cube_corners, joined, sphere
 from training.test_trainer import SMALL, capture, quiet
 
 from refdgs_pipe.artifacts.mesh import TriangleMesh
 from refdgs_pipe.artifacts.surfel_field import SurfelField
 from refdgs_pipe.errors import Cancelled, MeshError
-from refdgs_pipe.training.renewal import discs_on, renew
+from refdgs_pipe.training.renewal import discs_on, renewed
 from refdgs_pipe.training.surfels import TrainableSet, raw_diffuse_of
 from refdgs_pipe.training.trainer import Trainer
 
@@ -48,24 +49,35 @@ def test_renewed_surfels_carry_what_the_nearest_carried() -> None:
         "raw_roughness": torch.tensor([0.5, -0.5]),
     }
     group = TrainableSet(raw, dict.fromkeys(raw, 0.01))
-    renew(group, BALL, 100, np.random.default_rng(0))
+    fresh = renewed(group, BALL, 100, np.random.default_rng(0))
+    assert len(fresh.frozen(group)) == 100 and len(group) == 2
+    fresh.replace(group)
     assert len(group) == 100
     right = group.raw["means"][:, 0] > 0
     assert (group.raw["raw_roughness"] == torch.where(right, 0.5, -0.5)).all()
     assert (torch.sigmoid(group.raw["raw_opacities"]) > 0.8).all()
 
 
-class Surface:
-    """The mesh of a field, as a trainer asks for it."""
+BALL_OF_PAIR = sphere(24, center=(-0.45, 0, 0.1), radius=0.5)
 
-    def __init__(self, fails: Exception | None = None) -> None:
+
+def box_of_pair() -> TriangleMesh:
+    corners = cube_corners() * np.float32([0.7, 0.7, 0.8]) + np.float32([0.2, -0.4, -0.4])
+    return TriangleMesh(corners, ConvexHull(corners).simplices.astype(np.int32))
+
+
+class Surface:
+    """The mesh of the procedural pair, as a trainer asks for it."""
+
+    def __init__(self, fails: Exception | None = None, *, whole: bool = True) -> None:
         self.asked, self.fails = 0, fails
+        self.mesh = joined(BALL_OF_PAIR, box_of_pair()) if whole else BALL_OF_PAIR
 
     def __call__(self, field: SurfelField) -> TriangleMesh:
         self.asked += 1
         if self.fails is not None:
             raise self.fails
-        return TriangleMesh(BALL.vertices * np.float32(0.5), BALL.faces)
+        return self.mesh
 
 
 def test_a_run_starts_anew_once_and_goes_on(tmp_path: Path) -> None:
@@ -87,7 +99,11 @@ def test_no_surface_is_a_warning_and_one_is_never(tmp_path: Path) -> None:
     surface = Surface(MeshError("nothing was fused"))
     field = Trainer(views, model, HALFWAY, tmp_path, warn=said.append, surface=surface).run(quiet)
     assert len(field.geometry) and surface.asked == 1
-    assert said == ["surfels do not start anew: nothing was fused"]
+    assert said == ["surfels do not start anew, and normals stay as they are: nothing was fused"]
+    half = Surface(whole=False)
+    (tmp_path / "half").mkdir()
+    Trainer(views, model, HALFWAY, tmp_path / "half", warn=said.append, surface=half).run(quiet)
+    assert half.asked == 1 and "shows only" in said[1]
     never = HALFWAY.model_copy(update={"renew_at": 1.0})
     (tmp_path / "never").mkdir()
     Trainer(views, model, never, tmp_path / "never", surface=surface).run(quiet)
