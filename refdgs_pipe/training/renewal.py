@@ -22,6 +22,9 @@ from refdgs_pipe.training.surfels import TrainableSet
 F64 = NDArray[np.float64]
 
 OPACITY = 0.9
+# Rotations go on at this share of their rate: discs are turned as all views agree, and what photos
+# hardly tell is not to be shaken by steps that are as large whatever the gradient.
+TURNING = 0.3
 OVERLAP = 0.6  # standard deviation of a disc, in the distances between discs
 
 

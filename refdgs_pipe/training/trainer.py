@@ -27,7 +27,7 @@ from refdgs_pipe.training.look import Look, look
 from refdgs_pipe.training.photos import TrainingPhoto, load_training_photos, numbered, shrunk
 from refdgs_pipe.training.plateau import Plateau, hold_out
 from refdgs_pipe.training.recorded import RecordedSteps
-from refdgs_pipe.training.renewal import renewed
+from refdgs_pipe.training.renewal import TURNING, renewed
 from refdgs_pipe.training.settings import TrainParams
 from refdgs_pipe.training.step import NEAR, Taken
 from refdgs_pipe.training.work import share_behind
@@ -113,6 +113,7 @@ class Trainer:
         self.scales: dict[float, list[TrainingPhoto]] = {1.0: self.full}
         self.surface, self.warn = surface, warn
         self.renewed = surface is None or params.renew_at >= 1
+        self.calm = False
         self.iteration = 0
         self.loss, self.psnr = math.nan, math.nan
         self.curve: list[tuple[int, float, float]] = []
@@ -243,9 +244,15 @@ class Trainer:
                 self.warn(f"surfels do not start anew, and normals stay as they are: {error}")
         else:
             fresh.replace(group)
+            self._calm()
             if self.plan is not None:
                 self.plan.settle()
         self.renewed = True
+
+    def _calm(self) -> None:
+        """From now on surfels turn slowly."""
+        self.calm = True
+        self.field.rates["quats"] *= TURNING
 
     def _update(self, moment: Moment) -> None:
         self.field.set_rates(moment.fraction)
@@ -319,7 +326,7 @@ class Trainer:
             "psnr": self.psnr,
         }
         figures |= {"skipped": self.skipped, "plateau": self.plateau.state(), "curve": self.curve}
-        figures["renewed"] = self.renewed
+        figures |= {"renewed": self.renewed, "calm": self.calm}
         write_checkpoint(self.scratch, tensors, json.dumps(figures))
 
     def _resume(self) -> None:
@@ -333,5 +340,7 @@ class Trainer:
         self.iteration, self.loss, self.psnr = (figures[k] for k in ("iteration", "loss", "psnr"))
         self.skipped = figures.get("skipped", 0)
         self.renewed = figures.get("renewed", self.renewed)
+        if figures.get("calm"):
+            self._calm()
         self.plateau.restore(figures.get("plateau", {}))
         self.curve = [(int(a), float(b), float(c)) for a, b, c in figures["curve"]]

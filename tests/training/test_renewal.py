@@ -12,7 +12,7 @@ from training.test_trainer import SMALL, capture, quiet
 from refdgs_pipe.artifacts.mesh import TriangleMesh
 from refdgs_pipe.artifacts.surfel_field import SurfelField
 from refdgs_pipe.errors import Cancelled, MeshError
-from refdgs_pipe.training.renewal import discs_on, renewed
+from refdgs_pipe.training.renewal import TURNING, discs_on, renewed
 from refdgs_pipe.training.surfels import TrainableSet, raw_diffuse_of
 from refdgs_pipe.training.trainer import Trainer
 
@@ -91,6 +91,12 @@ def test_a_run_starts_anew_once_and_goes_on(tmp_path: Path) -> None:
     assert surface.asked == 1
     assert counts[10] == round(HALFWAY.renew_surfels * counts[9]) <= HALFWAY.most_surfels
     assert np.isfinite(trainer.loss)
+    rates = {g["name"]: g["lr"] for g in trainer.field.geometry.optimizer.param_groups}
+    plain = Trainer(views, model, HALFWAY, tmp_path)
+    plain.field.set_rates(19 / 20)
+    unchanged = {g["name"]: g["lr"] for g in plain.field.geometry.optimizer.param_groups}
+    assert rates["quats"] == pytest.approx(TURNING * unchanged["quats"])
+    assert rates["means"] == pytest.approx(unchanged["means"])
 
 
 def test_no_surface_is_a_warning_and_one_is_never(tmp_path: Path) -> None:
