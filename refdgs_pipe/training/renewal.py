@@ -24,7 +24,7 @@ F64 = NDArray[np.float64]
 OPACITY = 0.9
 # Rotations go on at this share of their rate: discs are turned as all views agree, and what photos
 # hardly tell is not to be shaken by steps that are as large whatever the gradient.
-TURNING = 0.3
+TURNING = 0.1
 OVERLAP = 0.6  # standard deviation of a disc, in the distances between discs
 
 
