@@ -7,6 +7,8 @@ from refdgs_pipe.artifacts.mesh import Mesh
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.surface_map import SurfaceMap
 from refdgs_pipe.camera import Camera
+from refdgs_pipe.child import ChildCrashed, ChildTimeout
+from refdgs_pipe.errors import MeshError
 from refdgs_pipe.surface.cleanup import clean
 from refdgs_pipe.surface.registration import fitted
 from refdgs_pipe.surface.tsdf import Volume
@@ -31,19 +33,23 @@ def own_surface(
         track: wraps the cameras, to report progress under a label; may raise.
 
     Raises:
-        MeshError: the views show no surface.
+        MeshError: the views show no surface, or the program that cleans it fails.
     """
     cameras = [c for c in model.cameras if c.split == "train"] or list(model.cameras)
     volume = Volume(model.ball, voxel=VOXEL)
     for camera in track(cameras, "fusing depth"):
         volume.integrate(draw(camera.fitted(LONGEST)))
     diameter = 2 * model.ball.radius
-    done = clean(
-        volume.extract(min_views=min(2, volume.views)),
-        floater=FLOATER * diameter,
-        hole=HOLE * diameter,
-        smoothing=SMOOTHING,
-        faces=FACES - FACES // 16,
-        stop=stop,
-    )
+    raw = volume.extract(min_views=min(2, volume.views))
+    try:
+        done = clean(
+            raw,
+            floater=FLOATER * diameter,
+            hole=HOLE * diameter,
+            smoothing=SMOOTHING,
+            faces=FACES - FACES // 16,
+            stop=stop,
+        )
+    except (ChildCrashed, ChildTimeout, RuntimeError) as error:
+        raise MeshError(f"the mesh could not be cleaned ({error})") from error
     return fitted(done.mesh, model, draw, rounds=ROUNDS, faces=FACES, track=track)

@@ -86,7 +86,9 @@ def _fitted(
         _kept,
         lambda state: problem.tell_metal(state, _FIRST),
         lambda state: problem.shown_by_photos(problem.tell_metal(state, _AGAIN)),
-        lambda state: problem.tell_roughness(problem.without_false_metal(state)),
+        lambda state: problem.tell_roughness(
+            problem.shown_by_photos(problem.without_false_metal(state))
+        ),
     ]
     if not metal:
         telling = [_kept, _kept, _kept, problem.tell_roughness]

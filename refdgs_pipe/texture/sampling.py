@@ -18,6 +18,7 @@ F32 = NDArray[np.float32]
 Ints = NDArray[np.int64]
 _MIN_ALPHA = 0.9
 _MIN_COSINE = 0.1
+_DARK, _BRIGHT, _ENOUGH = 0.05, 0.9, 100  # linear; values that tell a photo's exposure
 _CALMING = 2  # passes over the normals before their turning is measured
 
 
@@ -108,6 +109,7 @@ class Sampler:
         seen = diffuse + specular
         if photo is not None:
             there = linear_from_srgb(photo.reshape(-1, 3)[rows])
+            there *= _exposure(there, seen)
             seen = np.where(np.isfinite(there), there, seen)
         near_face, near_weights = self._mirror(face, weights, mirrored.astype(np.float32))
         self._parts.append(
@@ -154,6 +156,18 @@ class Sampler:
         return Samples(
             **{name: np.concatenate([getattr(p, name) for p in self._parts]) for name in fields}
         )
+
+
+def _exposure(photo: F32, field: F32) -> np.float32:
+    """The factor that makes a photo as bright as the field, which knows one exposure alone.
+
+    Args:
+        photo, field: (N, 3) linear radiance of the same places; NaN where the photo tells nothing.
+    """
+    told = (np.minimum(photo, field) > _DARK) & (np.maximum(photo, field) < _BRIGHT)
+    if told.sum() < _ENOUGH:
+        return np.float32(1)
+    return np.float32(np.clip(np.median(field[told] / photo[told]), 0.5, 2))
 
 
 def seen_roughness(roughness: Any, footprint: Any) -> Any:

@@ -34,6 +34,7 @@ _GENTLE = {
     "normal_weight": 0.05,
     "normal_edge": 1000.0,
     "distortion_weight": 0.0,
+    "specular_weight": 0.0,
     "local_from": 0.1,
     "anneal_from": 1.0,
     "prune_opacity": 0.05,

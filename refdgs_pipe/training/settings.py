@@ -250,4 +250,4 @@ class TrainParams(Params):
     def most_surfels(self) -> int:
         """Geometry surfels at most, those that start anew among them."""
         renewed = self.renew_surfels if self.renew_at < 1 else 1.0
-        return round(self.max_surfels * max(1.0, renewed))
+        return round(max(self.surfels, self.max_surfels) * max(1.0, renewed))

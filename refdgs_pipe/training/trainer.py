@@ -113,7 +113,7 @@ class Trainer:
         self.scales: dict[float, list[TrainingPhoto]] = {1.0: self.full}
         self.surface, self.warn = surface, warn
         self.renewed = surface is None or params.renew_at >= 1
-        self.calm = False
+        self.refused, self.calm = "", False
         self.iteration = 0
         self.loss, self.psnr = math.nan, math.nan
         self.curve: list[tuple[int, float, float]] = []
@@ -159,6 +159,10 @@ class Trainer:
             self.save()
             raise
         self._read(all_of_them=True)
+        if not self.renewed:
+            self.refused = "the run ended before (train.renew_at)"
+        if self.refused and self.warn is not None:
+            self.warn(f"surfels did not start anew, and normals are as they were: {self.refused}")
         return self.field.freeze()
 
     @property
@@ -231,17 +235,17 @@ class Trainer:
         """Let the object's surfels start anew on the mesh of the field as it is."""
         assert self.surface is not None
         self._read(all_of_them=True)
-        field, group = self.field.freeze(), self.field.geometry
-        rng, count = np.random.default_rng(self.params.seed), self.params.renew_surfels * len(group)
+        field, group, p = self.field.freeze(), self.field.geometry, self.params
+        rng, most = np.random.default_rng(p.seed), max(len(group), p.most_surfels)
+        count = min(round(p.renew_surfels * len(group)), most)
         try:
-            fresh = renewed(group, self.surface(field), round(count), rng)
+            fresh = renewed(group, self.surface(field), count, rng)
             before = self.coverage(field)
             shown = self.coverage(replace(field, geometry=fresh.frozen(group))) / max(before, 1e-6)
             if shown < LEAST_KEPT:
-                raise MeshError(f"their mesh shows only {shown:.0%} of the object")
+                raise MeshError(f"their mesh shows only {shown:.0%} of what they show")
         except MeshError as error:
-            if self.warn is not None:
-                self.warn(f"surfels do not start anew, and normals stay as they are: {error}")
+            self.refused = str(error)
         else:
             fresh.replace(group)
             self._calm()
@@ -250,7 +254,9 @@ class Trainer:
         self.renewed = True
 
     def _calm(self) -> None:
-        """From now on surfels turn slowly."""
+        """From now on surfels of all sets turn slowly."""
+        if self.calm:
+            return
         self.calm = True
         self.field.rates["quats"] *= TURNING
 
@@ -326,7 +332,7 @@ class Trainer:
             "psnr": self.psnr,
         }
         figures |= {"skipped": self.skipped, "plateau": self.plateau.state(), "curve": self.curve}
-        figures |= {"renewed": self.renewed, "calm": self.calm}
+        figures |= {"renewed": self.renewed, "refused": self.refused, "calm": self.calm}
         write_checkpoint(self.scratch, tensors, json.dumps(figures))
 
     def _resume(self) -> None:
@@ -340,6 +346,7 @@ class Trainer:
         self.iteration, self.loss, self.psnr = (figures[k] for k in ("iteration", "loss", "psnr"))
         self.skipped = figures.get("skipped", 0)
         self.renewed = figures.get("renewed", self.renewed)
+        self.refused = figures.get("refused", "")
         if figures.get("calm"):
             self._calm()
         self.plateau.restore(figures.get("plateau", {}))

@@ -105,7 +105,7 @@ def test_no_surface_is_a_warning_and_one_is_never(tmp_path: Path) -> None:
     surface = Surface(MeshError("nothing was fused"))
     field = Trainer(views, model, HALFWAY, tmp_path, warn=said.append, surface=surface).run(quiet)
     assert len(field.geometry) and surface.asked == 1
-    assert said == ["surfels do not start anew, and normals stay as they are: nothing was fused"]
+    assert said == ["surfels did not start anew, and normals are as they were: nothing was fused"]
     half = Surface(whole=False)
     (tmp_path / "half").mkdir()
     Trainer(views, model, HALFWAY, tmp_path / "half", warn=said.append, surface=half).run(quiet)
