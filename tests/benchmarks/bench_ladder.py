@@ -15,6 +15,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ import torch
 from captures import SHARED, Stages, needs_shared
 
 from refdgs_pipe import recipe
+from refdgs_pipe.artifacts.mesh import TriangleMesh
 from refdgs_pipe.artifacts.photos import load_photo
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.surfel_field import SurfelField
@@ -31,6 +33,7 @@ from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.evaluation.scoring import compare_maps
 from refdgs_pipe.evaluation.truth import read_view_truth
 from refdgs_pipe.metrics import psnr
+from refdgs_pipe.surface.own import own_surface
 from refdgs_pipe.training import initial
 from refdgs_pipe.training.render import render_image, render_surface_map
 from refdgs_pipe.training.settings import TrainParams
@@ -135,7 +138,11 @@ def trained(row: str, scene: str, folder: Path) -> dict[str, float]:
     stages = Stages(folder)
     views = stages.ingest(SHARED / "scenes" / scene)
     model = stages.sfm(views)
-    trainer = Trainer(views, model, params, folder)
+
+    def surface(field: SurfelField) -> TriangleMesh:
+        return own_surface(model, partial(render_surface_map, field), track=lambda c, _: c)
+
+    trainer = Trainer(views, model, params, folder, surface=surface)
     before = time.process_time()
     field = trainer.run(lambda *_: None)
     return {
