@@ -39,7 +39,7 @@ from refdgs_pipe.training.render import render_image, render_surface_map
 from refdgs_pipe.training.settings import TrainParams
 from refdgs_pipe.training.trainer import Trainer
 
-pytestmark = pytest.mark.benchmark
+pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(3600)]
 
 SCENES = ("spheres", "kettle", "mug")
 BUDGET = {"iterations": 1500, "coarse_until": 0.5}
