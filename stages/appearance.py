@@ -43,7 +43,7 @@ def appearance(
     tolerance = params.tolerance * 2 * model.ball.radius
     if not field.shader.reflection:
         return matte(mesh, lift=tolerance / 2)
-    cameras = [c for c in model.cameras if c.split == "train"] or list(model.cameras)
+    cameras = model.training_cameras
     sampler = Sampler(mesh, tolerance=tolerance, per_view=-(-params.samples // len(cameras)))
     for camera in job.track(cameras, "looking at places"):
         photo = load_photo(views, model, camera, scale=sampler.scale(camera))

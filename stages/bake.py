@@ -55,6 +55,6 @@ def bake(
         job.warn(f"{unseen} was seen by no camera; its colours are filled in from beside it")
     if not params.refine or looks.environment is None:
         return textured
-    cameras = [c for c in model.cameras if c.split == "train"] or list(model.cameras)
+    cameras = model.training_cameras
     photos = (load_photo(views, model, c) for c in job.track(cameras, "comparing with photos"))
     return refined(textured, looks.environment, photos, near=tolerance, count=len(cameras))

@@ -68,6 +68,11 @@ class SparseModel:
     metres_per_unit: float | None
     lost: tuple[Lost, ...]
 
+    @property
+    def training_cameras(self) -> list[Camera]:
+        """Those that are not held out; all of them where every one is."""
+        return [c for c in self.cameras if c.split == "train"] or list(self.cameras)
+
     def placed(self, poses: Mapping[str, F64]) -> Self:
         """The model with other poses: camera's name -> (4, 4) cam_from_world; the rest stays."""
         cameras = (

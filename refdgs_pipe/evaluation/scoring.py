@@ -294,7 +294,7 @@ def _score_surface_by_cameras(
 
 def _training_cameras(subject: Subject, longest: int) -> list[Camera]:
     """Those of the train split, or all if there is none, no larger than `longest` pixels."""
-    cameras = [c for c in subject.model.cameras if c.split == "train"] or subject.model.cameras
+    cameras = subject.model.training_cameras
     return [camera.fitted(longest) for camera in cameras]
 
 

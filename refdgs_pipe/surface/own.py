@@ -35,7 +35,7 @@ def own_surface(
     Raises:
         MeshError: the views show no surface, or the program that cleans it fails.
     """
-    cameras = [c for c in model.cameras if c.split == "train"] or list(model.cameras)
+    cameras = model.training_cameras
     volume = Volume(model.ball, voxel=VOXEL)
     for camera in track(cameras, "fusing depth"):
         volume.integrate(draw(camera.fitted(LONGEST)))

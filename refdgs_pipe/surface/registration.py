@@ -39,7 +39,7 @@ def fitted(
     """
     if not rounds:
         return mesh
-    cameras = [c for c in model.cameras if c.split == "train"] or list(model.cameras)
+    cameras = model.training_cameras
     limit = _LIMIT * 2 * model.ball.radius
     outlines, patterns = [], []
     for camera in track(cameras, "looking at outlines"):

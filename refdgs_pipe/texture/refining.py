@@ -162,10 +162,7 @@ def refined(
 
 def _usable(photo: Photo) -> Ints:
     """The pixels of the object alone that are not clipped."""
-    usable = photo.valid & (photo.rgb.max(-1) < _WHITE)
-    if photo.mask is not None:
-        usable &= photo.mask > 0.999
-    return np.flatnonzero(usable)
+    return np.flatnonzero(photo.alone().max(-1) < _WHITE)
 
 
 def _side(size: int, covered: int, count: int) -> int:
