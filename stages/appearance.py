@@ -23,7 +23,7 @@ class AppearanceParams(Params):
     tolerance: float = Field(0.01, gt=0, le=0.2, description="mesh to field, in ball diameters")
 
 
-@stage(version=6, programs=("open3d-cpu", "scipy"))
+@stage(version=7, programs=("open3d-cpu", "scipy"))
 def appearance(
     mesh: Mesh,
     field: SurfelField,

@@ -87,7 +87,7 @@ class Sampler:
         camera = view.camera
         solid = np.flatnonzero((view.alpha.reshape(-1) >= _MIN_ALPHA) & (view.depth.ravel() > 0))
         chance = np.random.default_rng(len(self._parts))
-        pixels = np.sort(chance.permutation(solid)[: 2 * self.per_view])
+        pixels = chance.permutation(solid)[: 2 * self.per_view]
         if not len(pixels):
             return 0
         rays = camera.pixel_rays().reshape(-1, 3)[pixels] @ camera.cam_from_world[:3, :3]
@@ -100,6 +100,7 @@ class Sampler:
         good = np.flatnonzero(near & (cosine > _MIN_COSINE))[: self.per_view]
         if not len(good):
             return 0
+        good = good[rows[good].argsort()]
         mesh = self.mesh
         rows, face, weights = rows[good], hits.face[good], hits.weights[good]
         mirrored = 2 * cosine[good, None] * normal[good] - toward[good]

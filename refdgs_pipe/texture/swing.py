@@ -20,8 +20,14 @@ F32 = NDArray[np.float32]
 Ints = NDArray[np.int64]
 
 _FAINT = 0.06  # light that varies less than this, linear, tells little about what mirrors it
-_SMOOTHING = 4
+_SMOOTHING = 4  # rounds, for metal
+_WIDELY = 16  # rounds, for roughness: places that mirror little contrast ask those that mirror more
+_UNTOLD = 0.05  # swing less by so much, in logarithms, is not told from the sharpest
+# Where roughness hardly shows, glossy is assumed: so large a difference tells as much as that.
+_GLOSSY, _TELLING = 0.16, 0.04
+_IS_NOISE, _IS_SWING = 0.2, 0.5  # the field's swing, as shares of the photos'
 _GRID = (0.1, 0.13, 0.16, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7, 1.0)
+_GLOSS = 2  # of the grid: a gloss that is told from the sharpest
 _REFLECTANCES = (0.02, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7, 1.0, 1.4)
 
 
@@ -51,51 +57,92 @@ class Swing:
             roughness: (V,) as far as it is known.
         """
         mirrored = self._mirrored(light, np.asarray(self.corners @ roughness, np.float32))
-        seen = np.maximum(self._deviation(np.clip(self.samples.specular, 0, 1)), 1e-5)
+        around = self._around(np.ones(len(mirrored), np.bool_), _SMOOTHING)
+        seen = np.maximum(around.deviation(np.clip(self.samples.specular, 0, 1)), 1e-5)
         excess = np.empty((len(_REFLECTANCES), len(seen)), np.float32)
         for i, value in enumerate(_REFLECTANCES):
-            shown = self._deviation(np.clip(np.float32(value) * mirrored, 0, 1))
+            shown = around.deviation(np.clip(np.float32(value) * mirrored, 0, 1))
             excess[i] = np.log(seen / np.hypot(shown, np.float32(value * _FAINT)))
         return _crossing(np.asarray(_REFLECTANCES, np.float32), excess)
 
     def roughness(self, light: Environment, metallic: F32, tint: F32) -> F32:
         """(V,) the roughness with which a vertex's reflections swing as they are seen to do.
 
-        Where a metal is, photos are asked, which are sharper than the field: all that a metal sends
-        is mirrored, and what does not swing is left out.
+        Photos are asked, which are sharper than the field: what they show more than its diffuse
+        radiance. Where they swing several times as much as it does, that is a texture seen through
+        a wrong mesh, and the field is asked. All that a metal sends is mirrored.
         """
         metal = metallic[:, None]
         f0 = np.asarray(self.corners @ (DIELECTRIC * (1 - metal) + tint * metal), np.float32)
         cosine = np.clip(self.samples.cosine, 0.02, 1)[:, None]
-        far = (self.samples.near_face < 0).astype(np.float32)
-        split = self._deviation(np.clip(self.samples.specular, 0, 1), far)
-        photo = np.clip(self.samples.photo - self.samples.diffuse, 0, 1)
-        whole = self._deviation(photo, far)
-        seen = np.maximum(split + metallic * (whole - split), 1e-5)
+        around = self._around(self.samples.near_face < 0, _WIDELY)
+        seen = self._seen(around, metallic)
         excess = np.empty((len(_GRID), len(seen)), np.float32)
         for i, value in enumerate(_GRID):
             rough = np.full(len(cosine), value, np.float32)
             share = reflected_share(f0, rough[:, None], cosine)
-            shown = self._deviation(np.clip(self._mirrored(light, rough) * share, 0, 1), far)
+            mirrored = np.clip(self._mirrored(light, rough) * share, 0, 1)
+            shown = around.deviation(mirrored)
             excess[i] = np.log(np.maximum(shown, 1e-6) / seen)
-        return _crossing(np.asarray(_GRID, np.float32), excess)
+        shows, short = excess[0] - excess[_GLOSS], np.maximum(excess[0], 0)
+        enough = np.minimum(around.count(), 1)
+        evidence = enough * (shows**2 + short**2)
+        excess -= _UNTOLD * np.clip(2 - excess[0] / _UNTOLD, 0, 1)
+        found = _crossing(np.asarray(_GRID, np.float32), excess)
+        trust = evidence / (evidence + _TELLING**2)
+        return np.asarray(_GLOSSY + trust * (found - _GLOSSY), np.float32)
+
+    def _seen(self, around: "_Around", metallic: F32) -> F32:
+        """(V,) how much what is mirrored swings, as the field and the photos show it."""
+        beyond = np.clip(self.samples.photo - self.samples.diffuse, 0, 1)
+        field = np.maximum(around.deviation(np.clip(self.samples.specular, 0, 1)), 1e-5)
+        photo = np.maximum(around.deviation(beyond), 1e-5)
+        trust = np.clip((field / photo - _IS_NOISE) / (_IS_SWING - _IS_NOISE), 0, 1)
+        trust = np.maximum(trust * trust * (3 - 2 * trust), metallic)
+        return np.asarray(field * (photo / field) ** trust, np.float32)
 
     def _mirrored(self, light: Environment, rough: F32) -> F32:
         far = light.mirrored(self.samples.mirrored, seen_roughness(rough, self.samples.footprint))
         return np.where(self.samples.near_face[:, None] < 0, far, self.near)
 
-    def _deviation(self, values: F32, counted: F32 | None = None) -> F32:
-        """(V,) standard deviation over the samples around each vertex, those that are counted."""
-        here = np.ones((len(values), 1), np.float32) if counted is None else counted[:, None]
-        weight = np.asarray(self.corners.T @ here, np.float32)
-        first = np.asarray(self.corners.T @ (here * values), np.float32)
-        second = np.asarray(self.corners.T @ (here * values * values), np.float32)
-        known = np.maximum(weight, 1e-6)
-        spread_out = np.maximum(second - first * first / known, 0)
-        both = np.concatenate([spread_out.mean(1, keepdims=True), weight], 1).astype(np.float32)
-        for _ in range(_SMOOTHING):
-            both = spread(both, self.links)
+    def _around(self, counted: NDArray[np.bool_], rounds: int) -> "_Around":
+        return _Around(self.corners, self.links, counted[:, None].astype(np.float32), rounds)
+
+
+_ONE = np.ones((1, 1), np.float32)
+
+
+@dataclass(frozen=True)
+class _Around:
+    """The samples (N, 1) that count around each vertex, and those of some rounds of neighbours."""
+
+    corners: Any
+    links: Ints
+    counted: F32
+    rounds: int
+
+    def count(self) -> F32:
+        """(V,) how many there are at a vertex, on average over the neighbours."""
+        return self._widely(self._summed(_ONE))[:, 0]
+
+    def deviation(self, values: F32) -> F32:
+        """(V,) standard deviation of values (N, C) over the samples at one vertex.
+
+        Variances are averaged over the neighbours, so that what swings most counts most.
+        """
+        weight, first, second = (self._summed(v) for v in (_ONE, values, values * values))
+        swing = np.maximum(second - first * first / np.maximum(weight, 1e-6), 0)
+        both = self._widely(np.concatenate([swing.mean(1, keepdims=True), weight], 1))
         return np.asarray(np.sqrt(both[:, 0] / np.maximum(both[:, 1], 1e-6)), np.float32)
+
+    def _summed(self, values: F32) -> F32:
+        return np.asarray(self.corners.T @ (self.counted * values), np.float32)
+
+    def _widely(self, values: F32) -> F32:
+        values = values.astype(np.float32)
+        for _ in range(self.rounds):
+            values = spread(values, self.links)
+        return values
 
 
 def _crossing(grid: F32, excess: F32) -> F32:

@@ -56,7 +56,7 @@ class Unknown:
             return torch.from_numpy(np.array(values, np.float32)).requires_grad_()
 
         self.light = leaf(np.log(state.light))
-        self.rough = leaf(_logit((state.roughness - SMOOTHEST) / (1 - SMOOTHEST))[:, None])
+        self.rough = leaf(_logit((state.roughness - SMOOTHEST) / (1 - SMOOTHEST), 0.005)[:, None])
         self.metal = leaf(_logit(state.metallic)[:, None])
         self.tint = leaf(_logit(state.tint))
         self.gain = leaf(np.log(state.gain))
@@ -221,6 +221,6 @@ def _encoded(linear: Tensor) -> Tensor:
     return torch.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
 
 
-def _logit(values: F32) -> F32:
-    inside = np.clip(values, 0.02, 0.98).astype(np.float32)
+def _logit(values: F32, least: float = 0.02) -> F32:
+    inside = np.clip(values, least, 0.98).astype(np.float32)
     return np.asarray(np.log(inside / (1 - inside)), np.float32)

@@ -119,6 +119,22 @@ def test_a_sample_has_the_photos_colour_where_the_photo_shows_the_object() -> No
     np.testing.assert_allclose(found.photo[dark], field.photo[dark], rtol=0.02, atol=0.004)
 
 
+def test_samples_are_taken_all_over_a_picture() -> None:
+    """Too many places for the number wanted: the lower ones count no less than the upper ones."""
+    mesh = two_balls()
+    few, all_of_them = (Sampler(mesh, tolerance=0.03, per_view=n) for n in (200, 10**6))
+    for sampler in (few, all_of_them):
+        sampler.add(Scene((SILVER, PLASTIC), gradient_sky).surface_map(orbit(24)[5]))
+    heights = [
+        (mesh.vertices[mesh.faces[taken.face]] * taken.weights[..., None]).sum(1)[:, 2]
+        for taken in (few.samples(), all_of_them.samples())
+    ]
+    assert len(heights[0]) == 200 and len(heights[1]) > 800
+    parts = np.quantile(heights[1], [0.25, 0.5, 0.75])
+    share = np.bincount(np.searchsorted(parts, heights[0]), minlength=4) / 200
+    assert np.abs(share - 0.25).max() < 0.12
+
+
 def test_without_any_sample_there_is_no_fit() -> None:
     mesh = two_balls()
     far = TriangleMesh(mesh.vertices + np.float32(50), mesh.faces)

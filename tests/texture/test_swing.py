@@ -86,19 +86,42 @@ def test_lamps_that_photos_clip_make_no_plastic_of_a_metal() -> None:
     assert np.median(told) > 0.5
 
 
-def test_a_metals_roughness_is_told_from_photos_and_a_glazes_from_the_field() -> None:
-    """Photos are sharper than the field, but shadows and print swing in them too."""
-    blurred, sharp = swing(0.5, 0.1), swing(0.2, 0.1)
-    photo = np.clip(sharp.samples.radiance, 0, 1)
-    both = replace(blurred, samples=replace(blurred.samples, photo=photo))
-    tint = np.full((len(BALL.vertices), 3), 0.1, np.float32)
-    light = Environment(windows())
-    metal = both.roughness(light, np.ones(len(tint), np.float32), tint)
-    assert abs(np.median(metal) - 0.2) < 0.03
-    weaker = swing(0.5, DIELECTRIC)
-    both = replace(weaker, samples=replace(weaker.samples, photo=photo))
-    plastic = both.roughness(light, np.zeros(len(tint), np.float32), tint)
-    assert abs(np.median(plastic) - 0.5) < 0.03
+def photographed(field: Swing, photo: Swing, noise: float = 0.0) -> Swing:
+    """What one shows in its field and the other in its photos, with noise added."""
+    shown = photo.samples.photo + noise * np.random.default_rng(2).normal(size=(len(photo.near), 1))
+    samples = replace(field.samples, photo=np.clip(shown, 0, 1).astype(np.float32))
+    return replace(field, samples=samples)
+
+
+@pytest.mark.parametrize("metal", [0, 1])
+def test_roughness_is_told_from_photos_which_are_sharper_than_the_field(metal: int) -> None:
+    f0 = (DIELECTRIC, 0.1)[metal]
+    both = photographed(swing(0.35, f0), swing(0.2, f0))
+    light, flat, tint = _plastic()
+    told = both.roughness(light, flat + np.float32(metal), np.full_like(tint, f0))
+    assert abs(np.median(told) - 0.2) < 0.03
+
+
+def _plastic() -> tuple[Environment, np.ndarray, np.ndarray]:
+    tint = np.full((len(BALL.vertices), 3), 0.8, np.float32)
+    return Environment(windows()), np.zeros(len(tint), np.float32), tint
+
+
+def test_print_that_swings_in_photos_alone_makes_nothing_glossy() -> None:
+    both = photographed(swing(0.7, DIELECTRIC), swing(0.7, DIELECTRIC), noise=0.1)
+    assert abs(np.median(both.roughness(*_plastic())) - 0.7) < 0.1
+
+
+def test_what_mirrors_no_light_from_afar_is_told_by_its_neighbours_or_taken_for_glossy() -> None:
+    plain = swing(0.5, DIELECTRIC)
+    lower = BALL.vertices[BALL.faces].mean(1)[plain.samples.face, 2] < 0
+    for hidden, told in ((lower, 0.5), (np.ones_like(lower), 0.16)):
+        near = np.where(hidden, 0, plain.samples.near_face)
+        found = replace(plain, samples=replace(plain.samples, near_face=near)).roughness(
+            *_plastic()
+        )
+        below = BALL.vertices[:, 2] < 0.9 * BALL.vertices[:, 2].min()
+        assert abs(np.median(found[below]) - told) < 0.05
 
 
 def test_what_bends_within_a_pixel_looks_rougher() -> None:
