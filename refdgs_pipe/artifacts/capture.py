@@ -217,15 +217,18 @@ def _folder_layout(root: Path) -> Layout:
     if cameras := _nero_cameras(root):
         photos = [path for path in root.glob("*.png") if path.stem.isdecimal()]
         return Layout("nero", root, tuple(sorted(photos, key=_natural)), model=cameras)
-    masks = root / "masks" if (root / "masks").is_dir() else None
     places = (root / "images", root / "colmap" / "images")
     images = next((place for place in places if place.is_dir()), None)
+    among = None if images is None else images / "masks"
+    masks = next((p for p in (root / "masks", among) if p is not None and p.is_dir()), None)
+    below = [] if images is None else _visible_files(images)
+    listed = [p for p in below if among not in p.parents]
     model = _colmap_files(root)
     if model and images is not None:
-        return Layout("colmap", images, tuple(_visible_files(images)), masks, model)
+        return Layout("colmap", images, tuple(listed), masks, model)
     direct = [p for p in root.iterdir() if p.is_file() and not p.name.startswith(".")]
     if images is not None and not any(_may_be_photo(p) for p in direct):
-        photos, home = _visible_files(images), images
+        photos, home = listed, images
     else:
         photos, home = sorted(direct, key=_natural), root
     if not photos:

@@ -71,8 +71,9 @@ ROWS: dict[str, tuple[str, dict[str, Any]]] = {
     "distortion_weight=0": ("glossy", {"distortion_weight": 0.0}),
     "full size throughout": ("glossy", {"coarse_until": 0.0}),
     "seed=1": ("glossy", {"seed": 1}),
-    "local=shared, seed=1": ("glossy", {"local": "shared", "seed": 1}),
-    "local=none, seed=1": ("glossy", {"local": "none", "seed": 1}),
+    "matte seed=1": ("matte", {"seed": 1}),
+    "local=shared seed=1": ("glossy", {"local": "shared", "seed": 1}),
+    "local=none seed=1": ("glossy", {"local": "none", "seed": 1}),
 }
 
 

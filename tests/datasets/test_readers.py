@@ -223,6 +223,15 @@ def test_a_damaged_colmap_model_says_so(stages: Stages, root: Path) -> None:
         stages.ingest(root)
 
 
+@pytest.mark.parametrize("place", ["masks", "images/masks"])
+def test_masks_are_found_and_are_no_photos(root: Path, place: str) -> None:
+    write_images(root / "images", 3)
+    write_images(root / place, 3)
+    layout = Capture((root,)).layout()
+    assert [path.parent.name for path in layout.photos] == ["images"] * 3
+    assert layout.masks == root / place
+
+
 def test_a_folder_among_files_is_refused(root: Path) -> None:
     write_images(root, 3)
     with pytest.raises(CaptureError, match="is a folder among files"):
