@@ -219,18 +219,17 @@ def _folder_layout(root: Path) -> Layout:
         return Layout("nero", root, tuple(sorted(photos, key=_natural)), model=cameras)
     places = (root / "images", root / "colmap" / "images")
     images = next((place for place in places if place.is_dir()), None)
-    among = None if images is None else images / "masks"
-    masks = next((p for p in (root / "masks", among) if p is not None and p.is_dir()), None)
-    below = [] if images is None else _visible_files(images)
-    listed = [p for p in below if among not in p.parents]
-    model = _colmap_files(root)
-    if model and images is not None:
-        return Layout("colmap", images, tuple(listed), masks, model)
     direct = [p for p in root.iterdir() if p.is_file() and not p.name.startswith(".")]
-    if images is not None and not any(_may_be_photo(p) for p in direct):
-        photos, home = listed, images
+    model = _colmap_files(root)
+    if images is not None and (model or not any(_may_be_photo(p) for p in direct)):
+        home, among = images, images / "masks"
+        photos = [p for p in _visible_files(images) if among not in p.parents]
     else:
-        photos, home = sorted(direct, key=_natural), root
+        home, model = root, ()
+        photos = sorted(direct, key=_natural)
+    masks = next((p for p in (root / "masks", home / "masks") if p.is_dir()), None)
+    if model:
+        return Layout("colmap", home, tuple(photos), masks, model)
     if not photos:
         raise CaptureError(f"{root}: the folder holds no files. Put the photos into it")
     return Layout("photos", home, tuple(photos), masks)

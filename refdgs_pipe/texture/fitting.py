@@ -18,7 +18,7 @@ from refdgs_pipe.artifacts.mesh import TriangleMesh
 from refdgs_pipe.light import Environment, blur, lookups
 from refdgs_pipe.received import Sky, links_of, look_around, patches, spread
 from refdgs_pipe.texture.sampling import Samples
-from refdgs_pipe.texture.swing import Swing
+from refdgs_pipe.texture.swing import Swing, smooth_step
 from refdgs_pipe.texture.unknowns import Batch, State, Unknown
 
 F32 = NDArray[np.float32]
@@ -209,8 +209,7 @@ class _Problem:
         light, swing = self._swing(state)
         plastic, metal = between
         found = swing.reflectance(light, state.roughness)
-        step = np.clip((found - plastic) / (metal - plastic), 0, 1)
-        metallic = np.asarray(step * step * (3 - 2 * step), np.float32)
+        metallic = smooth_step(found, plastic, metal)
         return self._lit(replace(state, metallic=metallic, told_metallic=metallic))
 
     def shown_by_photos(self, state: State) -> State:

@@ -23,11 +23,10 @@ _FAINT = 0.06  # light that varies less than this, linear, tells little about wh
 _SMOOTHING = 4  # rounds, for metal
 _WIDELY = 16  # rounds, for roughness: places that mirror little contrast ask those that mirror more
 _UNTOLD = 0.05  # swing less by so much, in logarithms, is not told from the sharpest
-# Where roughness hardly shows, glossy is assumed: so large a difference tells as much as that.
-_GLOSSY, _TELLING = 0.16, 0.04
+_TELLING = 0.04  # so large a difference, in logarithms, tells as much as what is assumed
 _IS_NOISE, _IS_SWING = 0.2, 0.5  # the field's swing, as shares of the photos'
 _GRID = (0.1, 0.13, 0.16, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7, 1.0)
-_GLOSS = 2  # of the grid: a gloss that is told from the sharpest
+_GLOSSY = 2  # of the grid: what polished and glazed things have, assumed where nothing tells
 _REFLECTANCES = (0.02, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7, 1.0, 1.4)
 
 
@@ -70,7 +69,11 @@ class Swing:
 
         Photos are asked, which are sharper than the field: what they show more than its diffuse
         radiance. Where they swing several times as much as it does, that is a texture seen through
-        a wrong mesh, and the field is asked. All that a metal sends is mirrored.
+        a wrong mesh, and the field is asked. All that a metal sends is mirrored. Where roughness
+        hardly changes what is shown, or nothing is mirrored from afar, glossy is assumed.
+
+        Args:
+            metallic: (V,) as told; tint: (V, 3) linear reflectance of what is metal.
         """
         metal = metallic[:, None]
         f0 = np.asarray(self.corners @ (DIELECTRIC * (1 - metal) + tint * metal), np.float32)
@@ -84,21 +87,21 @@ class Swing:
             mirrored = np.clip(self._mirrored(light, rough) * share, 0, 1)
             shown = around.deviation(mirrored)
             excess[i] = np.log(np.maximum(shown, 1e-6) / seen)
-        shows, short = excess[0] - excess[_GLOSS], np.maximum(excess[0], 0)
+        shows, short = excess[0] - excess[_GLOSSY], np.maximum(excess[0], 0)
         enough = np.minimum(around.count(), 1)
         evidence = enough * (shows**2 + short**2)
         excess -= _UNTOLD * np.clip(2 - excess[0] / _UNTOLD, 0, 1)
         found = _crossing(np.asarray(_GRID, np.float32), excess)
         trust = evidence / (evidence + _TELLING**2)
-        return np.asarray(_GLOSSY + trust * (found - _GLOSSY), np.float32)
+        return np.asarray(_GRID[_GLOSSY] + trust * (found - _GRID[_GLOSSY]), np.float32)
 
     def _seen(self, around: "_Around", metallic: F32) -> F32:
         """(V,) how much what is mirrored swings, as the field and the photos show it."""
         beyond = np.clip(self.samples.photo - self.samples.diffuse, 0, 1)
         field = np.maximum(around.deviation(np.clip(self.samples.specular, 0, 1)), 1e-5)
         photo = np.maximum(around.deviation(beyond), 1e-5)
-        trust = np.clip((field / photo - _IS_NOISE) / (_IS_SWING - _IS_NOISE), 0, 1)
-        trust = np.maximum(trust * trust * (3 - 2 * trust), metallic)
+        share = np.asarray(field / photo, np.float32)
+        trust = np.maximum(smooth_step(share, _IS_NOISE, _IS_SWING), metallic)
         return np.asarray(field * (photo / field) ** trust, np.float32)
 
     def _mirrored(self, light: Environment, rough: F32) -> F32:
@@ -143,6 +146,12 @@ class _Around:
         for _ in range(self.rounds):
             values = spread(values, self.links)
         return values
+
+
+def smooth_step(values: F32, low: float, high: float) -> F32:
+    """0 up to `low`, 1 from `high` on, smooth between."""
+    step = np.clip((values - low) / (high - low), 0, 1)
+    return np.asarray(step * step * (3 - 2 * step), np.float32)
 
 
 def _crossing(grid: F32, excess: F32) -> F32:

@@ -222,5 +222,6 @@ def _encoded(linear: Tensor) -> Tensor:
 
 
 def _logit(values: F32, least: float = 0.02) -> F32:
+    """Unbounded values of what lies in 0 to 1; nearer to 0 than `least` it would hardly move."""
     inside = np.clip(values, least, 0.98).astype(np.float32)
     return np.asarray(np.log(inside / (1 - inside)), np.float32)

@@ -232,6 +232,13 @@ def test_masks_are_found_and_are_no_photos(root: Path, place: str) -> None:
     assert layout.masks == root / place
 
 
+def test_masks_among_pictures_that_are_not_taken_are_not_taken(root: Path) -> None:
+    write_images(root, 3)
+    write_images(root / "images" / "masks", 3)
+    layout = Capture((root,)).layout()
+    assert len(layout.photos) == 3 and layout.masks is None
+
+
 def test_a_folder_among_files_is_refused(root: Path) -> None:
     write_images(root, 3)
     with pytest.raises(CaptureError, match="is a folder among files"):

@@ -58,14 +58,18 @@ def swing(roughness: float, f0: float, footprint: float = 0.0) -> Swing:
     return Swing(samples, corners, np.zeros((count, 3), np.float32), links_of(BALL.faces))
 
 
+def plastic() -> tuple[Environment, np.ndarray, np.ndarray]:
+    """The light, no metal, and a tint that nothing has."""
+    tint = np.full((len(BALL.vertices), 3), 0.8, np.float32)
+    return Environment(windows()), np.zeros(len(tint), np.float32), tint
+
+
 @pytest.mark.parametrize("roughness", [0.2, 0.3, 0.5])
 @pytest.mark.parametrize("footprint", [0.0, 0.005])
 def test_roughness_is_told_with_normals_that_are_all_wrong(
     roughness: float, footprint: float
 ) -> None:
-    flat = np.zeros(len(BALL.vertices), np.float32)
-    tint = np.full((len(flat), 3), 0.8, np.float32)
-    told = swing(roughness, DIELECTRIC, footprint).roughness(Environment(windows()), flat, tint)
+    told = swing(roughness, DIELECTRIC, footprint).roughness(*plastic())
     assert abs(np.median(told) - roughness) < 0.03
 
 
@@ -97,19 +101,14 @@ def photographed(field: Swing, photo: Swing, noise: float = 0.0) -> Swing:
 def test_roughness_is_told_from_photos_which_are_sharper_than_the_field(metal: int) -> None:
     f0 = (DIELECTRIC, 0.1)[metal]
     both = photographed(swing(0.35, f0), swing(0.2, f0))
-    light, flat, tint = _plastic()
+    light, flat, tint = plastic()
     told = both.roughness(light, flat + np.float32(metal), np.full_like(tint, f0))
     assert abs(np.median(told) - 0.2) < 0.03
 
 
-def _plastic() -> tuple[Environment, np.ndarray, np.ndarray]:
-    tint = np.full((len(BALL.vertices), 3), 0.8, np.float32)
-    return Environment(windows()), np.zeros(len(tint), np.float32), tint
-
-
 def test_print_that_swings_in_photos_alone_makes_nothing_glossy() -> None:
     both = photographed(swing(0.7, DIELECTRIC), swing(0.7, DIELECTRIC), noise=0.1)
-    assert abs(np.median(both.roughness(*_plastic())) - 0.7) < 0.1
+    assert abs(np.median(both.roughness(*plastic())) - 0.7) < 0.1
 
 
 def test_what_mirrors_no_light_from_afar_is_told_by_its_neighbours_or_taken_for_glossy() -> None:
@@ -117,9 +116,7 @@ def test_what_mirrors_no_light_from_afar_is_told_by_its_neighbours_or_taken_for_
     lower = BALL.vertices[BALL.faces].mean(1)[plain.samples.face, 2] < 0
     for hidden, told in ((lower, 0.5), (np.ones_like(lower), 0.16)):
         near = np.where(hidden, 0, plain.samples.near_face)
-        found = replace(plain, samples=replace(plain.samples, near_face=near)).roughness(
-            *_plastic()
-        )
+        found = replace(plain, samples=replace(plain.samples, near_face=near)).roughness(*plastic())
         below = BALL.vertices[:, 2] < 0.9 * BALL.vertices[:, 2].min()
         assert abs(np.median(found[below]) - told) < 0.05
 
