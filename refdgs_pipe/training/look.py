@@ -35,6 +35,7 @@ _GENTLE = {
     "normal_edge": 1000.0,
     "distortion_weight": 0.0,
     "specular_weight": 0.0,
+    "turn_share": 0.0,
     "local_from": 0.1,
     "anneal_from": 1.0,
     "prune_opacity": 0.05,

@@ -206,10 +206,17 @@ class TrainParams(Params):
         description="weight of specular radiance: what diffuse colour explains as well is diffuse",
     )
     specular_from: float = Field(
-        0.4,
+        0.0,
         ge=0,
         le=1,
         description="fraction of the run after which specular radiance has a weight",
+    )
+    turn_share: float = Field(
+        0.5,
+        ge=0,
+        le=1,
+        description="share of specular light in a pixel's from which on what is mirrored turns "
+        "normals in full; where it is less they turn less, in proportion; 0: always in full",
     )
     renew_at: float = Field(
         0.65,

@@ -21,6 +21,7 @@ from refdgs_pipe.training.reflection import Shader, specular
 
 SHADED_ALPHA = 0.05  # thinner pixels show no object
 _SH1 = 0.4886025119029199
+_DARK = 3e-4  # sum of three linear colours below which no share is told
 
 
 @dataclass(frozen=True)
@@ -147,6 +148,7 @@ def draw(
     *,
     extra: Extra = "depth",
     turntable: bool = False,
+    turn_share: float = 0.0,
     plan: Plan | None = None,
 ) -> Picture:
     """Render one view (method: Ref-DGS; colour = diffuse + specular, deferred per pixel).
@@ -154,6 +156,7 @@ def draw(
     Args:
         backdrop: (3,) sRGB colour behind everything.
         turntable: the light is fixed to the camera, not to the world.
+        turn_share: see `TrainParams`.
         plan: room for a GPU's lists; without it, the GPU is waited for.
     """
     surfels, values = _concatenated(scene)
@@ -176,9 +179,18 @@ def draw(
         radiance = diffuse.new_zeros(len(pixels), 3)
     else:
         radiance = specular(scene.shader, reflected, roughness, cosine, near, limit)
+        if turn_share > 0 and reflected.requires_grad:
+            trust = _share(radiance.detach(), diffuse.detach()).div(turn_share).clamp(max=1.0)
+            reflected.register_hook(lambda gradient: gradient * trust)
     image = composite(diffuse, radiance, pixels, object_alpha, maps.alpha, backdrop, behind)
     carried = (diffuse, roughness)
     return Picture(image, maps, object_alpha, pixels, carried, radiance, local_statistics)
+
+
+def _share(radiance: Tensor, diffuse: Tensor) -> Tensor:
+    """(P, 1) share of specular light (P, 3) in all that leaves a pixel."""
+    mirrored = radiance.sum(-1, keepdim=True)
+    return mirrored / (mirrored + diffuse.sum(-1, keepdim=True)).clamp(min=_DARK)
 
 
 def _near_features(

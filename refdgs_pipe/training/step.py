@@ -61,7 +61,7 @@ def take_step(
     pinhole = field.pinhole(photo, fraction)
     still = replace(pinhole, cam_from_world=pinhole.cam_from_world.detach())
     scene = field.scene(still, fraction)
-    picture = draw(scene, pinhole, backdrop, extra=extra, plan=plan)
+    picture = draw(scene, pinhole, backdrop, extra=extra, turn_share=p.turn_share, plan=plan)
     target = composited(photo.rgb, photo.mask, backdrop)
     if field.exposures is not None and photo.which is not None:
         picture = replace(picture, image=picture.image * field.exposures.factor(photo.which))

@@ -27,6 +27,7 @@ SHORT = {
     "start": "ball",
     "reflect_from": 0.0,
     "local_from": 0.0,
+    "specular_from": 0.4,
 }
 
 
