@@ -181,7 +181,7 @@ def draw(
         radiance = specular(scene.shader, reflected, roughness, cosine, near, limit)
         if turn_share > 0 and reflected.requires_grad:
             trust = _share(radiance.detach(), diffuse.detach()).div(turn_share).clamp(max=1.0)
-            reflected.register_hook(lambda gradient: gradient * trust)
+            reflected.register_hook(lambda grad: grad * trust)  # type: ignore[no-untyped-call]
     image = composite(diffuse, radiance, pixels, object_alpha, maps.alpha, backdrop, behind)
     carried = (diffuse, roughness)
     return Picture(image, maps, object_alpha, pixels, carried, radiance, local_statistics)

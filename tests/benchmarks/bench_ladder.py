@@ -48,6 +48,7 @@ DIFFUSE_FIRST = {
     "local_from": 0.25,
     "rate_means": 1e-3,
     "specular_weight": 0.0,
+    "turn_share": 0.0,
 }
 EVERY = 2  # every second held-out view is compared
 
@@ -63,6 +64,8 @@ ROWS: dict[str, tuple[str, dict[str, Any]]] = {
     "smooth_weight=0": ("glossy", {"smooth_weight": 0.0}),
     "diffuse first": ("glossy", DIFFUSE_FIRST),
     "specular_weight=0": ("glossy", {"specular_weight": 0.0}),
+    "specular_from=0.4": ("glossy", {"specular_from": 0.4}),
+    "turn_share=0": ("glossy", {"turn_share": 0.0}),
     "renew_at=1": ("glossy", {"renew_at": 1.0}),
     "outline_cells=0": ("glossy", {"outline_cells": 0.0}),
     "volume_steps=0": ("glossy", {"volume_steps": 0}),
