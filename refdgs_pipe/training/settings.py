@@ -215,8 +215,8 @@ class TrainParams(Params):
         0.5,
         ge=0,
         le=1,
-        description="share of specular light in a pixel's from which on what is mirrored turns "
-        "normals in full; where it is less they turn less, in proportion; 0: always in full",
+        description="share of a pixel's light that must be specular for what it mirrors to turn "
+        "normals in full; below it they turn less, in proportion; 0: always in full",
     )
     renew_at: float = Field(
         0.65,
