@@ -320,3 +320,16 @@ def test_what_diffuse_colour_explains_is_diffuse_in_the_end(tmp_path: Path) -> N
         seen = render_surface_map(field, model.cameras[0])
         shares.append(float(seen.specular.sum() / (seen.specular + seen.diffuse).sum()))
     assert shares[1] < 0.8 * shares[0]
+
+
+def test_how_much_reflections_turn_normals_is_a_setting(tmp_path: Path) -> None:
+    views, model = capture(tmp_path / "views")
+    turned = []
+    for share in (0.0, 1.0):
+        params = SMALL.model_copy(update={"turn_share": share, "start": "ball", "local_from": 1.0})
+        trainer = Trainer(views, model, params, tmp_path / str(share))
+        for _ in range(3):  # the map is one grey before the first, and turns nothing
+            trainer.step()
+        moments = trainer.field.geometry.optimizer.state[trainer.field.geometry.raw["quats"]]
+        turned.append(float(moments["exp_avg"].norm()))
+    assert 0 < turned[1] != turned[0]
