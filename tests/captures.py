@@ -67,8 +67,9 @@ class Stages:
         assert isinstance(views, Views)
         return views
 
-    def sfm(self, views: Views, **settings: Any) -> SparseModel:
-        model = self.run("sfm", {"views": views}, settings)
+    def sfm(self, views: Views, gate: dict[str, Any] | None = None, **settings: Any) -> SparseModel:
+        placement = self.run("sfm", {"views": views}, settings)
+        model = self.run("gate", {"views": views, "placement": placement}, gate or {})
         assert isinstance(model, SparseModel)
         return model
 

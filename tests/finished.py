@@ -13,6 +13,7 @@ from scenes import orbit
 from refdgs_pipe.artifacts.appearance import Appearance
 from refdgs_pipe.artifacts.asset import Asset
 from refdgs_pipe.artifacts.mesh import Mesh, RawMesh
+from refdgs_pipe.artifacts.placement import Placement
 from refdgs_pipe.artifacts.scores import Scores, ViewScore
 from refdgs_pipe.artifacts.sparse_model import Ball, Lost, SparseModel
 from refdgs_pipe.artifacts.surfel_field import ShaderModel, SurfelField, SurfelSet
@@ -119,7 +120,8 @@ def steps(store: Store, *, until: str = "evaluate", warning: str = "") -> list[S
     mesh = textured(64)
     makers: dict[str, Callable[[Path], Any]] = {
         "ingest": views,
-        "sfm": lambda folder: model(),
+        "sfm": lambda folder: Placement(None, known=True),
+        "gate": lambda folder: model(),
         "train": lambda folder: field(),
         "extract": lambda folder: RawMesh(mesh.mesh.vertices, mesh.mesh.faces),
         "clean": lambda folder: Mesh(mesh.mesh.vertices, mesh.mesh.faces),
@@ -137,7 +139,7 @@ def steps(store: Store, *, until: str = "evaluate", warning: str = "") -> list[S
         origin = Origin(stage.name, stage.version, {}, {})
         partial = store.partial(origin)
         makers[stage.name](partial).save(partial)
-        warnings = (warning,) if warning and stage.name == "sfm" else ()
+        warnings = (warning,) if warning and stage.name == "gate" else ()
         record = Record(SECONDS, {}, (("faces", 12, ""),), warnings)
         manifest = store.commit(partial, origin, record)
         found.append(Step(stage, "up to date", "up to date", origin, manifest))

@@ -10,6 +10,7 @@ from refdgs_pipe.pipeline.store import Store
 STAGES = (
     "ingest",
     "sfm",
+    "gate",
     "train",
     "extract",
     "clean",

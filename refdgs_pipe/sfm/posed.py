@@ -1,90 +1,93 @@
 """Poses from structure from motion become a sparse model in the world frame of photos."""
 
 from collections import defaultdict
+from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import PurePath
 
 import numpy as np
+from numpy.typing import NDArray
 
+from refdgs_pipe.artifacts.placement import Poses
 from refdgs_pipe.artifacts.sparse_model import Ball, Lost, SparseModel
 from refdgs_pipe.artifacts.views import View, Views
-from refdgs_pipe.camera import Camera, Lens
-from refdgs_pipe.errors import PoseError
+from refdgs_pipe.camera import F64, Camera, Lens
 from refdgs_pipe.files.colmap import opencv_lens
 from refdgs_pipe.sfm.ball import grown_ball, object_ball
 from refdgs_pipe.sfm.frame import moved, world_from_sfm
-from refdgs_pipe.sfm.poses import Poses, Shots
+from refdgs_pipe.sfm.poses import Shots
 from refdgs_pipe.sfm.support import level_up, off_planes, support_plane
 
-NAMES_SHOWN = 8
 
+def shots_of(views: Views, sizes: Mapping[str, tuple[int, int]]) -> tuple[Shots, ...]:
+    """Group the photos by camera, lens, focal length and size: each group shares its intrinsics.
 
-def shots_of(views: Views) -> tuple[Shots, ...]:
-    """Group the photos by camera, lens, focal length and size: each group shares its intrinsics."""
+    Args:
+        sizes: name of a view -> width and height in pixels of the picture that is placed.
+    """
     groups: dict[tuple[object, ...], list[View]] = defaultdict(list)
     for view in views.items:
         exif = view.exif
         zoom = None if exif.focal_mm is None else round(exif.focal_mm, 1)
-        key = (exif.make, exif.model, exif.lens, zoom, view.width, view.height)
+        key = (exif.make, exif.model, exif.lens, zoom, *sizes[view.name])
         groups[key].append(view)
     shots = []
     for first, *rest in groups.values():
-        files = tuple(PurePath(view.file).name for view in (first, *rest))
+        files = tuple(f"{view.name}.png" for view in (first, *rest))
+        width, height = sizes[first.name]
         share = first.exif.focal_fraction
-        focal = None if share is None else share * max(first.width, first.height)
-        shots.append(Shots(files, first.width, first.height, focal))
+        focal = None if share is None else share * max(width, height)
+        shots.append(Shots(files, width, height, focal))
     return tuple(shots)
 
 
-def check_registered(views: Views, poses: Poses | None, *, least: float) -> Poses:
-    """Refuse a model that would give a poor object.
+def model_from_poses(views: Views, poses: Poses, lost: Mapping[str, str]) -> SparseModel:
+    """Bring the poses into the world frame: z up, the object on the origin, its ball the unit.
 
     Args:
-        least: share of the photos that must have found their place.
-
-    Raises:
-        PoseError: fewer did; names the lost photos and what to do.
+        lost: file name -> why it has no trusted place; these photos are left out, and with them
+            the points that fewer than two others see.
     """
-    placed = set() if poses is None else {PurePath(f).stem for f in poses.cam_from_world}
-    lost = [view.source for view in views.items if view.name not in placed]
-    total = len(views.items)
-    if poses is not None and len(placed) >= max(3, least * total):
-        return poses
-    names = ", ".join(lost[:NAMES_SHOWN])
-    more = f" and {len(lost) - NAMES_SHOWN} more" if len(lost) > NAMES_SHOWN else ""
-    raise PoseError(
-        f"only {len(placed)} of {total} photos found their place, {least:.0%} are needed. "
-        f"Without a place: {names}{more}. Take more photos between these and the others, each "
-        "sharing half of its picture with the next, with a textured ground (newspaper) in sight; "
-        "or lower sfm.min_registered"
-    )
-
-
-def model_from_poses(views: Views, poses: Poses) -> SparseModel:
-    """Bring the poses into the world frame: z up, the object on the origin, its ball the unit."""
-    lenses = [Lens(*opencv_lens(name, params)) for name, _, _, params in poses.lenses]
-    by_file = {PurePath(view.file).name: view for view in views.items}
-    cameras, lens_of, tracks = [], {}, {}
-    for file, pose in poses.cam_from_world.items():
+    by_file = {f"{view.name}.png": view for view in views.items}
+    kept = [file for file in poses.cam_from_world if file not in lost]
+    cameras, lens_of = [], {}
+    for file in kept:
         view = by_file[file]
-        lens = lens_of[view.name] = lenses[poses.lens_of[file]]
+        name, width, height, params = poses.lenses[poses.lens_of[file]]
+        K, distortion = opencv_lens(name, params)
+        scale = np.diag([view.width / width, view.height / height, 1.0])
+        lens_of[view.name] = lens = Lens(scale @ K, distortion)
+        pose = poses.cam_from_world[file]
         cameras.append(Camera(view.name, view.width, view.height, lens.K, pose, view.split))
-        tracks[view.name] = poses.tracks[file]
     cameras.sort(key=lambda camera: camera.name)
-    lost = [view for view in views.items if view.name not in lens_of]
+    points, colors, tracks = _seen_points(poses, kept)
     model = SparseModel(
         cameras=tuple(cameras),
         lenses=lens_of,
-        points=poses.points,
-        point_colors=poses.colors,
-        tracks=tracks,
+        points=points,
+        point_colors=colors,
+        tracks={by_file[file].name: track for file, track in tracks.items()},
         ball=Ball(np.zeros(3), 1.0),
         up=np.array([0.0, 0.0, 1.0]),
         sfm_from_world=np.eye(4),
         metres_per_unit=None,
-        lost=tuple(Lost(view.name, "shares too few features with the others") for view in lost),
+        lost=tuple(Lost(by_file[file].name, why) for file, why in lost.items()),
     )
     return in_world_frame(model, views)
+
+
+def _seen_points(
+    poses: Poses, kept: list[str]
+) -> tuple[F64, NDArray[np.uint8], dict[str, NDArray[np.int64]]]:
+    """The points that two of these photos or more see; all of them where every photo is kept."""
+    tracks = {file: poses.tracks[file] for file in kept}
+    if len(kept) == len(poses.cam_from_world):
+        return poses.points, poses.colors, tracks
+    times = np.zeros(len(poses.points), np.int64)
+    for track in tracks.values():
+        times[track] += 1
+    index = np.cumsum(times >= 2) - 1
+    tracks = {file: index[track[times[track] >= 2]] for file, track in tracks.items()}
+    return poses.points[times >= 2], poses.colors[times >= 2], tracks
 
 
 def in_world_frame(model: SparseModel, views: Views) -> SparseModel:

@@ -1,14 +1,13 @@
-"""What goes to the child process that runs COLMAP, and what comes back."""
+"""What goes to the child process that runs COLMAP."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
-from refdgs_pipe.camera import F64
+from refdgs_pipe.artifacts.placement import Attempt, Evidence, Placement, Poses
 
 OnProgress = Callable[[str, int, int | None], None]
+
+__all__ = ["Attempt", "Effort", "Evidence", "OnProgress", "Placement", "Poses", "Shots"]
 
 
 @dataclass(frozen=True)
@@ -35,32 +34,14 @@ class Effort:
         first_octave: -1 doubles the photos first; None does so for small ones, where the finest
             features are most of what there is: on 640 pixels it halves the error of the poses.
         threads: changes the time, not the result.
+        faint: also features of low contrast, as on plain glossy surfaces.
+        affine: shape and scale of each feature are adapted to steep views, and matches are looked
+            for again along the epipolar lines. Some five times slower.
     """
 
     max_side: int
     max_features: int
     first_octave: int | None
     threads: int
-
-
-@dataclass(frozen=True)
-class Poses:
-    """What was reconstructed, in COLMAP's own frame.
-
-    Args:
-        cam_from_world: file name -> (4, 4).
-        lens_of: file name -> index into `lenses`.
-        lenses: COLMAP model name, width, height and parameters of each lens.
-        points: (P, 3); colors: (P, 3) uint8; tracks: file name -> point indices.
-        error_px: mean reprojection error.
-        mapper: "incremental" or "global".
-    """
-
-    cam_from_world: dict[str, F64]
-    lens_of: dict[str, int]
-    lenses: tuple[tuple[str, int, int, F64], ...]
-    points: F64
-    colors: NDArray[np.uint8]
-    tracks: dict[str, NDArray[np.int64]]
-    error_px: float
-    mapper: str
+    faint: bool = False
+    affine: bool = False

@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from refdgs_pipe.artifacts.placement import Poses
 from refdgs_pipe.artifacts.sparse_model import Ball, SparseModel
+from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.sfm.frame import turned_up
-from refdgs_pipe.sfm.poses import Poses
 
 NAMES_SHOWN = 8
 FEW_POINTS = 40  # seen by a photo; 12 photos 20 degrees apart had 25, and wrong places
@@ -49,8 +50,9 @@ def figures(model: SparseModel, poses: Poses | None) -> list[tuple[str, float | 
     return out
 
 
-def warnings_about(model: SparseModel) -> list[str]:
+def warnings_about(views: Views, model: SparseModel) -> list[str]:
     """The photos that found no place, and whether the others hang together by little."""
+    said = {view.name: view.source or view.name for view in views.items}
     weak = []
     seen = [len(points) for points in model.tracks.values()]
     if seen and np.median(seen) < FEW_POINTS:
@@ -58,13 +60,11 @@ def warnings_about(model: SparseModel) -> list[str]:
             f"the photos share few features (half of them under {int(np.median(seen)) + 1}): their "
             "places are uncertain. Closer steps between photos help, and a textured ground"
         )
-    names = [view.name for view in model.lost]
-    if not names:
+    if not model.lost:
         return weak
-    more = f" and {len(names) - NAMES_SHOWN} more" if len(names) > NAMES_SHOWN else ""
-    total = len(names) + len(model.cameras)
-    listed = ", ".join(names[:NAMES_SHOWN])
-    return [
-        *weak,
-        f"{len(names)} of {total} photos found no place and are left out: {listed}{more}",
-    ]
+    total = len(model.lost) + len(model.cameras)
+    listed = "; ".join(f"{said[view.name]}: {view.reason}" for view in model.lost[:NAMES_SHOWN])
+    rest = len(model.lost) - NAMES_SHOWN
+    more = f"; and {rest} more" if rest > 0 else ""
+    told = f"{len(model.lost)} of {total} photos have no trusted place and are left out. "
+    return [*weak, told + listed + more]

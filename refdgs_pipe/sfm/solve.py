@@ -1,53 +1,94 @@
-"""Which features may count, tried in turn until enough photos are placed."""
+"""The ladder: ways of placing photos, each tried where the last left some without a place."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
+from refdgs_pipe.artifacts.placement import Attempt, Placement, Poses
 from refdgs_pipe.artifacts.views import Views
-from refdgs_pipe.sfm.pictures import MaskUse, feature_masks, plain_images
+from refdgs_pipe.sfm.pictures import MaskUse, Pictures, feature_masks
 from refdgs_pipe.sfm.posed import shots_of
-from refdgs_pipe.sfm.poses import Effort, Poses
+from refdgs_pipe.sfm.poses import Effort
+from refdgs_pipe.sfm.trust import trusted
 
-GOOD = 0.9  # share of photos placed that ends the trials
+GOOD = 0.9  # share of photos trusted above which the slow rungs are not worth their time
+SLOW_FEATURES = 4096  # of a photo, on the rung that adapts each feature
+
+Run = Callable[[dict[str, Any]], tuple[Poses | None, tuple[str, ...]]]
+
+
+@dataclass(frozen=True)
+class Rung:
+    """One way of placing photos.
+
+    Args:
+        name: in words; key: safe as a folder's name.
+        only_below: share of photos trusted so far at which it is not tried any more.
+    """
+
+    name: str
+    key: str
+    effort: Effort
+    use: MaskUse
+    only_below: float
 
 
 def solve(
     views: Views,
+    pictures: Pictures,
     effort: Effort,
     *,
     masks: MaskUse | Literal["auto"],
     scratch: Path,
-    run: Callable[[dict[str, Any]], Poses | None],
-) -> Poses | None:
-    """The poses of the attempt that placed most photos; None if none found a start.
+    run: Run,
+) -> Placement:
+    """The placement of the attempt that placed most photos where they can be trusted.
 
     Around a still object the background helps, on a turntable it misleads: with `masks` "auto"
-    everything counts at first, then only the object, then only the background.
+    everything counts at first, then only the object, then only the background. Rungs:
+    as the settings say; finer and fainter features; the masks; features adapted to steep views.
 
     Args:
         run: calls `colmap.reconstruct` with these arguments, in a process of its own.
     """
-    images = plain_images(views, scratch)
-    uses: tuple[MaskUse, ...] = ("none", "object", "background") if masks == "auto" else (masks,)
-    if views.background == "photo":
-        uses = ("none",)
+    total = len(views.items)
     best: Poses | None = None
-    for use in uses:
-        arguments = {
-            "images": images,
-            "shots": shots_of(views),
-            "masks": feature_masks(views, use, scratch),
-            "effort": effort,
-            "scratch": scratch / f"colmap-{use}",
-        }
-        poses = run(arguments)
-        if best is None or (poses is not None and _placed(poses) > _placed(best)):
-            best = poses
-        if _placed(best) >= GOOD * len(views.items):
-            break
-    return best
+    kept, notes, attempts = -1, tuple[str, ...](), list[Attempt]()
+    for rung in _rungs(effort, masks, is_masked=views.background != "photo"):
+        if kept >= rung.only_below * total:
+            continue
+        poses, said = run(
+            {
+                "images": pictures.folder,
+                "shots": shots_of(views, pictures.sizes),
+                "masks": feature_masks(views, pictures, rung.use, scratch),
+                "effort": rung.effort,
+                "scratch": scratch / f"colmap-{rung.key}",
+            }
+        )
+        count = len(trusted(poses)) if poses else 0
+        placed, points = (len(poses.cam_from_world), len(poses.points)) if poses else (0, 0)
+        attempts.append(Attempt(rung.name, placed, count, points))
+        if best is None or _rank(poses) > _rank(best):
+            best, kept, notes = poses, count, said
+    return Placement(best, tuple(attempts), notes)
 
 
-def _placed(poses: Poses | None) -> int:
-    return 0 if poses is None else len(poses.cam_from_world)
+def _rungs(effort: Effort, masks: MaskUse | Literal["auto"], *, is_masked: bool) -> Iterator[Rung]:
+    """The ladder. Whole trust in every photo ends it; the slow rungs end at 90 %."""
+    first: MaskUse = "none" if masks == "auto" or not is_masked else masks
+    finer = replace(effort, first_octave=-1, faint=True)
+    slow = replace(finer, affine=True, max_features=min(effort.max_features, SLOW_FEATURES))
+    yield Rung("features as set", "first", effort, first, 1.0)
+    yield Rung("finer and fainter features", "finer", finer, first, 1.0)
+    if masks == "auto" and is_masked:
+        yield Rung("features on the object only", "object", finer, "object", GOOD)
+        yield Rung("features around the object only", "around", finer, "background", GOOD)
+    yield Rung("features adapted to steep views", "affine", slow, first, GOOD)
+
+
+def _rank(poses: Poses | None) -> tuple[int, int, int]:
+    if poses is None:
+        return (0, 0, 0)
+    return (len(trusted(poses)), len(poses.cam_from_world), len(poses.points))

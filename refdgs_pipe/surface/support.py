@@ -29,8 +29,8 @@ _POINTS = 20_000
 
 NONE_FOUND = (
     "clean.keep=object: found no level surface that something stands on, so that everything is "
-    "kept. If a table is left, photograph more of it, check the up axis (sfm.up), mask the photos, "
-    "or cut the mesh and adopt it"
+    "kept. If a table is left, photograph more of it, check the up axis (gate.up), mask the "
+    "photos, or cut the mesh and adopt it"
 )
 
 

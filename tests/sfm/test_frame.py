@@ -20,8 +20,7 @@ from refdgs_pipe.sfm.ball import (
     seen_radius,
 )
 from refdgs_pipe.sfm.frame import moved, similarity
-from refdgs_pipe.sfm.posed import check_registered, in_world_frame, shots_of
-from refdgs_pipe.sfm.poses import Poses
+from refdgs_pipe.sfm.posed import in_world_frame, shots_of
 from refdgs_pipe.sfm.report import overridden
 from refdgs_pipe.sfm.support import level_up, off_planes, support_plane
 
@@ -224,22 +223,10 @@ def test_a_sparse_model_comes_back_from_disk(tmp_path: Path) -> None:
 def test_photos_that_share_a_camera_share_a_lens(tmp_path: Path) -> None:
     views = views_of(ring(4), tmp_path)
     zoomed = replace(views.items[3], exif=Exif(make="A", focal_mm=50.0, focal_35mm=72.0))
-    shots = shots_of(replace(views, items=(*views.items[:3], zoomed)))
+    sizes = {view.name: (view.width, view.height) for view in views.items}
+    shots = shots_of(replace(views, items=(*views.items[:3], zoomed)), sizes)
     assert [len(group.files) for group in shots] == [3, 1]
     assert shots[0].focal is None and shots[1].focal == pytest.approx(2.0 * WIDTH)
-
-
-def test_too_few_placed_photos_are_an_error_with_their_names(tmp_path: Path) -> None:
-    views = views_of(ring(10), tmp_path)
-    with pytest.raises(PoseError, match=r"only 0 of 10 photos .* v00.jpg, v01.jpg") as caught:
-        check_registered(views, None, least=0.7)
-    assert caught.value.exit_code == 66 and "and 2 more" in str(caught.value)
-    placed = {f"v{i:02d}.png": np.eye(4) for i in range(7)}
-    none = np.zeros((0, 3))
-    poses = Poses(placed, {}, (), none, none.astype(np.uint8), {}, 0.5, "incremental")
-    assert check_registered(views, poses, least=0.7) is poses
-    with pytest.raises(PoseError, match=r"v07\.jpg, v08\.jpg, v09\.jpg"):
-        check_registered(views, poses, least=0.8)
 
 
 def test_a_photo_is_undistorted_as_its_lens_says(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -55,7 +56,7 @@ def test_photos_that_do_not_overlap_are_an_error_that_names_them(tmp_path: Path)
         noise.resize((320, 240)).save(tmp_path / f"IMG_{i}.png")
     stages = Stages(tmp_path / "w")
     views = stages.ingest(*sorted(tmp_path.glob("*.png")))
-    with pytest.raises(PoseError, match=r"only 0 of 4 photos .* IMG_0\.png, .*Take more photos"):
+    with pytest.raises(PoseError, match=r"(?s)only 0 of 4 photos .*Take more photos.*IMG_0\.png: "):
         stages.sfm(views, **QUICK)
 
 
@@ -73,27 +74,35 @@ def test_known_poses_never_load_pycolmap() -> None:
     assert {stage.name for stage in load_stages()} >= {"ingest", "sfm"}
 
 
+def replace_placing(views: Views) -> Views:
+    """The views as if ingest had kept no larger pictures."""
+    return replace(views, items=tuple(replace(view, placing=None) for view in views.items))
+
+
 @needs_shared
 def test_colmap_gets_plain_pictures_and_masks_the_right_way_round(tmp_path: Path) -> None:
     capture = SHARED / "kettle_capture"
     raw = Stages(tmp_path / "r").ingest(*sorted((capture / "dng").glob("*.dng"))[:3])
-    folder = plain_images(raw, tmp_path / "scratch")
+    folder = plain_images(raw, tmp_path / "scratch").folder
     bits = {Image.open(folder / f"{view.name}.png").mode for view in raw.items}
     assert bits == {"RGB"} and folder != raw.folder / "images"
     (tmp_path / "c").mkdir()
     for part in ("images", "masks"):
         (tmp_path / "c" / part).symlink_to(capture / part)
     views = Stages(tmp_path / "m").ingest(tmp_path / "c", max_side=160)
-    assert plain_images(views, tmp_path / "scratch") == views.folder / "images"
+    larger = plain_images(views, tmp_path / "larger")
+    assert larger.sizes["IMG_0000"] == (640, 480)  # structure from motion has its own size
+    pictures = plain_images(replace_placing(views), tmp_path / "scratch")
+    assert pictures.folder == views.folder / "images"
     shares = {}
     for use in ("object", "background"):
-        masks = feature_masks(views, use, tmp_path / "scratch")
+        masks = feature_masks(views, pictures, use, tmp_path / "scratch")
         assert masks is not None
         mask = np.asarray(Image.open(masks / "IMG_0000.png.png"))
         shares[use] = (mask == 255).mean()
     assert shares["object"] + shares["background"] == pytest.approx(1.0)
     assert shares["object"] < 0.3
-    assert feature_masks(views, "none", tmp_path / "scratch") is None
+    assert feature_masks(views, pictures, "none", tmp_path / "scratch") is None
 
 
 @needs_shared

@@ -115,7 +115,7 @@ def test_a_missing_table_is_said_and_everything_stays(
     raw = run("extract", FIELD, model, voxel=0.02)
     mesh = run("clean", raw, FIELD, model, keep="object", outlines=0)
     (said,) = run.warnings()
-    assert "found no level surface" in said and "sfm.up" in said
+    assert "found no level surface" in said and "gate.up" in said
     np.testing.assert_array_equal(
         mesh.vertices, run("clean", raw, FIELD, model, outlines=0).vertices
     )

@@ -1,0 +1,276 @@
+"""Whether a placement can be trusted as a whole: evidence, not counts.
+
+Photos are dropped one by one where their own evidence is weak (trust.py), where they hang together
+with the others by few points, or where they do not look at the object. What is left has to pass a
+list of checks; each says what was found and what to do about it.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from refdgs_pipe.artifacts.placement import Placement, Poses
+from refdgs_pipe.artifacts.sparse_model import SparseModel
+from refdgs_pipe.artifacts.views import Views
+from refdgs_pipe.camera import F64, Camera
+from refdgs_pipe.errors import PoseError
+from refdgs_pipe.sfm.posed import model_from_poses
+from refdgs_pipe.sfm.trust import conflict, groups, reasons
+
+BRIDGE = 10  # points that have to hold two groups of photos together
+FARTHER = 5.0  # times the median distance, or as many times nearer: not of the same capture
+ASIDE = 1.25  # of the angle from the axis to the photo's corner, beyond which the object lies
+CONFLICT = 0.35  # of the matches between placed photos that may contradict the places
+BALL_POINTS = 30  # points in the object ball, each seen by three photos
+BALL_PHOTOS = 0.5  # of the photos that have to see some of them
+BALL_SEEN = 5  # points that count as some
+SPREAD_DEG = 10.0  # between the directions that the object is seen from
+PARALLAX_DEG = 1.5  # median angle at which neighbouring photos see the points in the ball
+GAP_DEG = 60.0  # between neighbours round the object, from which on a gap is named
+NAMES_SHOWN = 8
+
+
+@dataclass(frozen=True)
+class Check:
+    """One thing that has to hold.
+
+    Args:
+        name: what is checked, in words; found: what was found.
+        advice: what to do where it does not hold.
+    """
+
+    name: str
+    found: str
+    is_met: bool
+    advice: str
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What became of a placement.
+
+    Args:
+        model: the photos that can be trusted; None where there is nothing to build on.
+        lost: name of a view -> why it has no trusted place.
+        checks: in the order of their weight.
+        gaps: sentences that name the photos on both sides of a gap.
+    """
+
+    model: SparseModel | None
+    lost: dict[str, str]
+    checks: tuple[Check, ...]
+    gaps: tuple[str, ...]
+
+    @property
+    def is_trusted(self) -> bool:
+        return self.model is not None and all(check.is_met for check in self.checks)
+
+
+def examine(views: Views, placement: Placement, *, least: float) -> Judgement:
+    """Judge a placement by its evidence.
+
+    Args:
+        least: share of the photos that must have a trusted place.
+    """
+    said = {f"{view.name}.png": view.source or view.name for view in views.items}
+    poses = placement.poses
+    evidence = None if poses is None else poses.evidence
+    lost = reasons(poses, evidence, said)
+    if poses is not None and evidence is not None:
+        left = [file for file in poses.cam_from_world if file not in lost]
+        for apart in groups(evidence, left, least=BRIDGE)[1:]:
+            why = f"fewer than {BRIDGE} points hold it and {len(apart) - 1} others to the rest"
+            lost |= dict.fromkeys(apart, why)
+    model = _model(views, poses, lost)
+    if model is not None:
+        stray = _strays(model)
+        if stray and len(stray) < len(model.cameras):
+            lost |= {f"{name}.png": why for name, why in stray.items()}
+            model = _model(views, poses, lost)
+    checks = [_enough(said, lost, least)]
+    gaps: tuple[str, ...] = ()
+    if model is not None and poses is not None:
+        if evidence is not None:
+            checks.append(_agreeing(conflict(evidence)))
+            checks += _about_the_ball(model)
+        checks.append(_spread(model))
+        gaps = gaps_of(model, {view.name: view.source or view.name for view in views.items})
+    names = {file: file.removesuffix(".png") for file in said}
+    return Judgement(model, {names[f]: why for f, why in lost.items()}, tuple(checks), gaps)
+
+
+def check_trusted(views: Views, judgement: Judgement, *, attempts: int) -> SparseModel:
+    """The model of a trusted placement.
+
+    Raises:
+        PoseError: it cannot be trusted; says why, names photos and what to do.
+    """
+    if judgement.is_trusted and judgement.model is not None:
+        return judgement.model
+    failed = [check for check in judgement.checks if not check.is_met]
+    total, count = len(views.items), len(views.items) - len(judgement.lost)
+    said = {view.name: view.source or view.name for view in views.items}
+    parts = [f"only {count} of {total} photos found a place that can be trusted"]
+    if count == total:
+        parts = [f"all {total} photos found a place, but the places cannot be trusted"]
+    parts[0] += f" ({attempts} ways of placing them were tried)"
+    parts += [f"{check.name}: {check.found}. {check.advice}" for check in failed]
+    parts += [f"{said[name]}: {why}" for name, why in list(judgement.lost.items())[:NAMES_SHOWN]]
+    if len(judgement.lost) > NAMES_SHOWN:
+        parts.append(f"and {len(judgement.lost) - NAMES_SHOWN} more without a place")
+    parts += judgement.gaps[:3]
+    parts.append(
+        "the report shows what was found. If you know better, lower gate.min_trusted or give the "
+        "poses with the photos (transforms.json, sparse/0)"
+    )
+    raise PoseError("\n  ".join(parts))
+
+
+def gaps_of(model: SparseModel, said: Mapping[str, str]) -> tuple[str, ...]:
+    """Sentences on wide gaps between neighbouring photos round the object, widest first."""
+    around = _azimuths(model)
+    order = sorted(around, key=lambda name: around[name])
+    if len(order) < 3:
+        return ()
+    found = []
+    for name, after in zip(order, [*order[1:], order[0]], strict=True):
+        gap = (around[after] - around[name]) % 360.0
+        if gap >= GAP_DEG:
+            found.append((gap, name, after))
+    return tuple(
+        f"between {said[name]} and {said[after]} there is a gap of {gap:.0f} degrees"
+        for gap, name, after in sorted(found, reverse=True)
+    )
+
+
+def _azimuths(model: SparseModel) -> dict[str, float]:
+    """Name of a camera -> degrees round the up axis, seen from the object."""
+    up = model.up / np.linalg.norm(model.up)
+    side = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
+    side /= np.linalg.norm(side)
+    front = np.cross(up, side)
+    away = {camera.name: camera.center - model.ball.center for camera in model.cameras}
+    return {
+        name: float(np.degrees(np.arctan2(line @ front, line @ side)))
+        for name, line in away.items()
+    }
+
+
+def _model(views: Views, poses: Poses | None, lost: Mapping[str, str]) -> SparseModel | None:
+    """The model of the photos that are left; None if they are too few or look at nothing."""
+    if poses is None or sum(file not in lost for file in poses.cam_from_world) < 3:
+        return None
+    try:
+        return model_from_poses(views, poses, lost)
+    except PoseError:
+        return None
+
+
+def _strays(model: SparseModel) -> dict[str, str]:
+    """Cameras that stand at another scale, or do not look at the object."""
+    away = {c.name: float(np.linalg.norm(c.center - model.ball.center)) for c in model.cameras}
+    middle = float(np.median(list(away.values())))
+    found = {}
+    for camera in model.cameras:
+        times = away[camera.name] / max(middle, 1e-12)
+        if not 1 / FARTHER < times < FARTHER:
+            word = "farther away than" if times > 1 else "nearer than"
+            factor = max(times, 1 / max(times, 1e-12))
+            found[camera.name] = f"its place is {factor:.0f} times {word} the others'"
+        elif not _looks_at(camera, model.ball.center, model.ball.radius):
+            found[camera.name] = "from the place found for it, the object is not in the picture"
+    return found
+
+
+def _looks_at(camera: Camera, center: F64, radius: float) -> bool:
+    x = camera.cam_from_world[:3, :3] @ center + camera.cam_from_world[:3, 3]
+    distance = float(np.linalg.norm(x))
+    if distance <= radius:
+        return True
+    angle = np.arccos(np.clip(x[2] / distance, -1, 1)) - np.arcsin(radius / distance)
+    corner = np.array([camera.width / 2 / camera.K[0, 0], camera.height / 2 / camera.K[1, 1]])
+    return bool(angle < ASIDE * np.arctan(np.linalg.norm(corner)))
+
+
+def _enough(said: Mapping[str, str], lost: Mapping[str, str], least: float) -> Check:
+    total, count = len(said), len(said) - len(lost)
+    return Check(
+        "photos with a trusted place",
+        f"{count} of {total}, {least:.0%} are needed",
+        count >= max(3, least * total),
+        "Take more photos between those without a place and the others, each sharing two thirds "
+        "of its picture with the next, sharp and evenly lit, with a textured ground (newspaper, "
+        "the printed mat) in sight",
+    )
+
+
+def _agreeing(share: float) -> Check:
+    return Check(
+        "matches that contradict the places",
+        f"{share:.0%}, at most {CONFLICT:.0%} are usual",
+        share <= CONFLICT,
+        "Something repeats or moves: equal things side by side, a background that moves with the "
+        "object, photos of two captures in one folder. Cover or mask it, or take it away",
+    )
+
+
+def _about_the_ball(model: SparseModel) -> list[Check]:
+    """Whether points lie on and near the object, and whether photos see them from apart."""
+    inside = np.linalg.norm(model.points - model.ball.center, axis=1) < model.ball.radius
+    times = np.zeros(len(model.points), np.int64)
+    for track in model.tracks.values():
+        times[track] += 1
+    good = inside & (times >= 3)
+    see = [int(good[model.tracks[camera.name]].sum()) for camera in model.cameras]
+    share = float(np.mean([count >= BALL_SEEN for count in see]))
+    parallax = _parallax(model, good)
+    advice = (
+        "Nothing with texture lies where the cameras look. Put the object on a textured ground or "
+        "the printed mat, keep both in the picture, and let the light stand still"
+    )
+    return [
+        Check(
+            "points on and near the object",
+            f"{int(good.sum())}, at least {BALL_POINTS} are needed",
+            int(good.sum()) >= BALL_POINTS,
+            advice,
+        ),
+        Check(
+            "photos that see points on or near the object",
+            f"{share:.0%}, {BALL_PHOTOS:.0%} are needed",
+            share >= BALL_PHOTOS,
+            advice,
+        ),
+        Check(
+            "angle between the photos' views of these points",
+            f"{parallax:.1f} degrees in the median, {PARALLAX_DEG:g} are needed",
+            parallax >= PARALLAX_DEG,
+            "The camera hardly moved against the object. Walk around it, or turn the object and "
+            "keep the background plain",
+        ),
+    ]
+
+
+def _parallax(model: SparseModel, good: np.ndarray) -> float:
+    """Median over points of the widest angle between two of the rays to it, degrees."""
+    rays: dict[int, list[F64]] = {}
+    for camera in model.cameras:
+        for point in model.tracks[camera.name][good[model.tracks[camera.name]]]:
+            line = model.points[point] - camera.center
+            rays.setdefault(int(point), []).append(line / np.linalg.norm(line))
+    chosen = list(rays.values())[:: max(1, len(rays) // 2000)]
+    widest = [float((np.stack(lines) @ np.stack(lines).T).min()) for lines in chosen]
+    return float(np.degrees(np.median(np.arccos(np.clip(widest, -1, 1))))) if widest else 0.0
+
+
+def _spread(model: SparseModel) -> Check:
+    away = np.stack([camera.center - model.ball.center for camera in model.cameras])
+    away /= np.linalg.norm(away, axis=1, keepdims=True)
+    widest = float(np.degrees(np.arccos(np.clip((away @ away.T).min(), -1, 1))))
+    return Check(
+        "directions that the object was photographed from",
+        f"{widest:.0f} degrees apart at most, {SPREAD_DEG:g} are needed",
+        widest >= SPREAD_DEG,
+        "All photos were taken from nearly the same place. Walk around the object",
+    )

@@ -1,0 +1,170 @@
+"""Which photos' places can be trusted, photo by photo, from what their features say.
+
+A photo that the mapper placed is trusted if enough points that three photos see hold it, if these
+come from more than one partner, and if the pairs that the mapper did not build on agree too.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from refdgs_pipe.artifacts.placement import Evidence, Poses
+from refdgs_pipe.camera import F64
+
+POINTS = 15  # points of the model, each seen by three photos or more, that hold a place
+PARTNERS = 2  # other photos that share some of them
+SHARED = 6  # points that make a photo a partner
+AGREE = 0.5  # of the verified matches of a photo, those that its place explains
+FEW_FEATURES = 150  # in a photo
+FEW_SHARED = 15  # features that COLMAP needs for a pair
+
+
+@dataclass(frozen=True)
+class Support:
+    """What holds the place of one photo.
+
+    Args:
+        points: of the model that it and two more photos see.
+        partners: photos that share at least six points with it.
+        agree: share of its verified matches that its place explains; NaN if there are none.
+    """
+
+    points: int
+    partners: int
+    agree: float
+
+
+def supports(poses: Poses) -> dict[str, Support]:
+    """File name -> what holds its place, for every placed photo."""
+    times = np.zeros(len(poses.points), np.int64)
+    for track in poses.tracks.values():
+        times[track] += 1
+    evidence = poses.evidence
+    found = {}
+    for file in poses.cam_from_world:
+        points = int((times[poses.tracks[file]] >= 3).sum())
+        partners, agree = (len(poses.cam_from_world) - 1, float("nan"))
+        if evidence is not None:
+            partners, agree = _partners_and_agreement(evidence, file)
+        found[file] = Support(points, partners, agree)
+    return found
+
+
+def trusted(poses: Poses) -> list[str]:
+    """The files whose places are trusted. Poses without evidence are not questioned."""
+    if poses.evidence is None:
+        return list(poses.cam_from_world)
+    least = min(PARTNERS, len(poses.cam_from_world) - 1)
+    return [file for file, support in supports(poses).items() if not _doubt(support, least)]
+
+
+def reasons(
+    poses: Poses | None, evidence: Evidence | None, said: Mapping[str, str]
+) -> dict[str, str]:
+    """File name -> why it has no trusted place, in words, for each photo without one.
+
+    Args:
+        evidence: of the poses, or what is known where there are none.
+        said: file name -> the photo's name for people.
+    """
+    found = {} if poses is None else supports(poses)
+    least = min(PARTNERS, len(found) - 1)
+    out = {}
+    for file in said:
+        if file not in found:
+            out[file] = _why_unplaced(evidence, file, said)
+        elif poses is not None and poses.evidence is not None:
+            doubt = _doubt(found[file], least)
+            if doubt:
+                out[file] = doubt
+    return out
+
+
+def _doubt(support: Support, least: int) -> str:
+    """Why a place is not trusted; empty if it is."""
+    if support.points < POINTS:
+        return f"only {support.points} points that two other photos see too hold its place"
+    if support.partners < least:
+        return f"shares points with {support.partners} other photo only"
+    if support.agree < AGREE:
+        return (
+            f"only {support.agree:.0%} of its matches with other photos fit the place that was "
+            "found for it"
+        )
+    return ""
+
+
+def _partners_and_agreement(evidence: Evidence, file: str) -> tuple[int, float]:
+    row = evidence.names.index(file)
+    mine = (evidence.pairs == row).any(1)
+    partners = int((evidence.shared[mine] >= SHARED).sum())
+    share, weight = evidence.agree[mine], evidence.inliers[mine].astype(float)
+    known = ~np.isnan(share)
+    if not known.any() or not weight[known].sum():
+        return partners, float("nan")
+    return partners, float((share[known] * weight[known]).sum() / weight[known].sum())
+
+
+def _why_unplaced(evidence: Evidence | None, file: str, said: Mapping[str, str]) -> str:
+    if evidence is None or file not in evidence.names:
+        return "shares too few features with the others"
+    row = evidence.names.index(file)
+    count = int(evidence.features[row])
+    if count < FEW_FEATURES:
+        return f"only {count} features were found in it: it is blurred, dark or too plain"
+    best, partner = _best_partner(evidence, row)
+    if best < FEW_SHARED:
+        return (
+            f"shares {best} features with its best partner {said.get(partner, partner)}, at least "
+            f"{FEW_SHARED} are needed"
+            if best
+            else "shares no features with any other photo"
+        )
+    return (
+        f"shares {best} features with its best partner {said.get(partner, partner)}, but they do "
+        "not lead to one place among the other photos"
+    )
+
+
+def _best_partner(evidence: Evidence, row: int) -> tuple[int, str]:
+    mine = np.flatnonzero((evidence.pairs == row).any(1))
+    if not len(mine):
+        return 0, ""
+    best = mine[evidence.inliers[mine].argmax()]
+    a, b = evidence.pairs[best]
+    return int(evidence.inliers[best]), evidence.names[int(b if a == row else a)]
+
+
+def conflict(evidence: Evidence, *, held: bool = False) -> float:
+    """Share of the verified matches between placed photos that contradict the places.
+
+    Args:
+        held: only of the pairs that the mapper did not get.
+    """
+    known = ~np.isnan(evidence.agree) & (evidence.held | (not held))
+    weight = evidence.inliers[known].astype(float)
+    return float(((1 - evidence.agree[known]) * weight).sum() / max(weight.sum(), 1.0))
+
+
+def groups(evidence: Evidence, files: list[str], *, least: int) -> list[list[str]]:
+    """The files in groups that hang together by pairs of at least so many shared points."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    row = {name: i for i, name in enumerate(evidence.names)}
+    strong = evidence.pairs[evidence.shared >= least]
+    ones = np.ones(len(strong))
+    graph = coo_array((ones, (strong[:, 0], strong[:, 1])), shape=(len(row), len(row)))
+    labels: NDArray[np.int32] = connected_components(graph, directed=False)[1]
+    found: dict[int, list[str]] = {}
+    for file in files:
+        found.setdefault(int(labels[row[file]]), []).append(file)
+    return sorted(found.values(), key=len, reverse=True)
+
+
+def centers_of(poses: Poses, files: list[str]) -> F64:
+    """(n, 3) where the photos of these files were taken."""
+    stacked = np.stack([poses.cam_from_world[file] for file in files])
+    return np.asarray(-np.einsum("nji,nj->ni", stacked[:, :3, :3], stacked[:, :3, 3]))

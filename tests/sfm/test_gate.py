@@ -1,0 +1,194 @@
+"""A placement is judged by its evidence: what is right passes, what is wrong is refused."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from captures import Stages, write_photos
+
+from refdgs_pipe.artifacts.placement import Attempt, Evidence, Placement, Poses
+from refdgs_pipe.artifacts.views import Views
+from refdgs_pipe.camera import F64
+from refdgs_pipe.errors import CorruptError, PoseError
+from refdgs_pipe.sfm.gate import check_trusted, examine, gaps_of
+
+COUNT, POINTS, SIDE, FOCAL = 12, 400, 64, 80.0
+
+
+def looking(center: F64) -> F64:
+    """(4, 4) cam_from_world of a level camera there that looks at the origin."""
+    forward = -center / np.linalg.norm(center)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward])
+    pose[:3, 3] = -pose[:3, :3] @ center
+    return pose
+
+
+def ring(turns: list[float], distance: float = 4.0) -> list[F64]:
+    return [
+        distance * np.array([np.cos(a) * 0.9, np.sin(a) * 0.9, 0.43])
+        for a in np.radians(np.array(turns))
+    ]
+
+
+def placement(centers: list[F64], points: F64 | None = None, agree: float = 0.95) -> Placement:
+    """Photos at these places that all see points near the origin."""
+    rng = np.random.default_rng(0)
+    xyz = rng.normal(0, 0.35, (POINTS, 3)) if points is None else points
+    files = [f"IMG_{i}.png" for i in range(len(centers))]
+    tracks = {f: np.sort(rng.choice(len(xyz), len(xyz) // 2, replace=False)) for f in files}
+    names = tuple(sorted(files))
+    pairs = np.array([(a, b) for a in range(len(files)) for b in range(a + 1, len(files))])
+    shared = [len(np.intersect1d(tracks[names[a]], tracks[names[b]])) for a, b in pairs]
+    many = len(pairs)
+    evidence = Evidence(
+        names=names,
+        features=np.full(len(files), 900, np.int32),
+        still=np.zeros(len(files)),
+        pairs=pairs.astype(np.int32),
+        matches=np.full(many, 120, np.int32),
+        inliers=np.full(many, 90, np.int32),
+        agree=np.full(many, agree),
+        shared=np.array(shared, np.int32),
+        held=np.arange(many) % 8 == 4,
+        angle=np.full(many, 20.0),
+    )
+    lens = ("SIMPLE_RADIAL", SIDE, 48, np.array([FOCAL, SIDE / 2, 24.0, 0.0]))
+    colors = np.full((len(xyz), 3), 128, np.uint8)
+    poses = Poses(
+        {f: looking(c) for f, c in zip(files, centers, strict=True)},
+        dict.fromkeys(files, 0),
+        (lens,),
+        xyz,
+        colors,
+        {f: t.astype(np.int64) for f, t in tracks.items()},
+        0.4,
+        "incremental",
+        evidence,
+    )
+    return Placement(poses, (Attempt("features as set", len(files), len(files), len(xyz)),))
+
+
+@pytest.fixture(scope="module")
+def views(tmp_path_factory: pytest.TempPathFactory) -> Views:
+    folder = tmp_path_factory.mktemp("photos")
+    write_photos(folder, COUNT, "png")
+    return Stages(tmp_path_factory.mktemp("stages")).ingest(folder)
+
+
+EVENLY = ring([30.0 * i for i in range(COUNT)])
+
+
+def with_evidence(found: Placement, **changes: np.ndarray) -> Placement:
+    assert found.poses is not None and found.poses.evidence is not None
+    evidence = replace(found.poses.evidence, **changes)
+    return replace(found, poses=replace(found.poses, evidence=evidence))
+
+
+def test_photos_all_round_an_object_pass(views: Views) -> None:
+    judgement = examine(views, placement(EVENLY), least=0.7)
+    assert judgement.is_trusted and not judgement.lost and not judgement.gaps
+    assert len(check_trusted(views, judgement, attempts=1).cameras) == COUNT
+
+
+def test_one_photo_that_its_matches_contradict_is_left_out_by_name(views: Views) -> None:
+    found = placement(EVENLY)
+    assert found.poses is not None and found.poses.evidence is not None
+    evidence = found.poses.evidence
+    row = evidence.names.index("IMG_3.png")
+    agree = np.where((evidence.pairs == row).any(1), 0.2, evidence.agree)
+    judgement = examine(views, with_evidence(found, agree=agree), least=0.7)
+    assert list(judgement.lost) == ["IMG_3"] and "20%" in judgement.lost["IMG_3"]
+    assert judgement.is_trusted
+    assert judgement.model is not None and len(judgement.model.cameras) == COUNT - 1
+
+
+def test_places_that_most_matches_contradict_are_refused(views: Views) -> None:
+    judgement = examine(views, placement(EVENLY, agree=0.6), least=0.7)
+    assert not judgement.is_trusted
+    with pytest.raises(PoseError, match=r"(?s)contradict the places: 40%.*Something repeats"):
+        check_trusted(views, judgement, attempts=2)
+
+
+def test_points_that_lie_elsewhere_are_refused(views: Views) -> None:
+    """Copies and empty tables: cameras look at a place where nothing was found."""
+    rng = np.random.default_rng(1)
+    around = rng.normal(0, 1, (POINTS, 3))
+    far = around / np.linalg.norm(around, axis=1, keepdims=True) * 9
+    judgement = examine(views, placement(EVENLY, points=far), least=0.7)
+    assert not judgement.is_trusted
+    with pytest.raises(PoseError, match="points on and near the object: 0"):
+        check_trusted(views, judgement, attempts=1)
+
+
+def test_a_camera_that_hardly_moves_is_refused(views: Views) -> None:
+    together = ring([0.2 * i for i in range(COUNT)])
+    judgement = examine(views, placement(together), least=0.7)
+    assert not judgement.is_trusted
+    assert any("nearly the same place" in c.advice for c in judgement.checks if not c.is_met)
+
+
+def test_a_camera_at_another_scale_is_left_out(views: Views) -> None:
+    centers = [*EVENLY[:-1], EVENLY[-1] * 9]
+    judgement = examine(views, placement(centers), least=0.7)
+    assert "times farther away" in judgement.lost[f"IMG_{COUNT - 1}"]
+
+
+def test_two_groups_without_common_points_leave_the_smaller_out(views: Views) -> None:
+    found = placement(EVENLY)
+    assert found.poses is not None and found.poses.evidence is not None
+    evidence = found.poses.evidence
+    apart = {evidence.names.index(f"IMG_{i}.png") for i in range(3)}
+    crossing = np.array([(a in apart) != (b in apart) for a, b in evidence.pairs])
+    shared = np.where(crossing, 7, evidence.shared)
+    judgement = examine(views, with_evidence(found, shared=shared), least=0.7)
+    assert set(judgement.lost) == {"IMG_0", "IMG_1", "IMG_2"}
+    assert "fewer than 10 points" in judgement.lost["IMG_0"]
+
+
+def test_too_few_places_name_reasons_gaps_and_advice(views: Views) -> None:
+    found = placement(ring([0, 20, 40, 60, 80]))
+    judgement = examine(views, found, least=0.7)
+    with pytest.raises(PoseError) as caught:
+        check_trusted(views, judgement, attempts=3)
+    text = str(caught.value)
+    assert "only 5 of 12 photos found a place that can be trusted (3 ways" in text
+    assert "IMG_9.png: " in text and "Take more photos" in text
+    assert "between IMG_4.png and IMG_0.png there is a gap of 280 degrees" in text
+    assert caught.value.exit_code == 66
+
+
+def test_nothing_placed_is_refused_with_a_reason_for_each(views: Views) -> None:
+    judgement = examine(views, Placement(None), least=0.7)
+    assert judgement.model is None and len(judgement.lost) == COUNT
+    with pytest.raises(PoseError, match="only 0 of 12"):
+        check_trusted(views, judgement, attempts=3)
+
+
+def test_gaps_name_the_photos_on_both_sides(views: Views) -> None:
+    judgement = examine(views, placement(ring([25.0 * i for i in range(COUNT)])), least=0.7)
+    assert judgement.model is not None
+    names = {f"IMG_{i}": f"IMG_{i}.png" for i in range(COUNT)}
+    (said,) = gaps_of(judgement.model, names)
+    assert said == "between IMG_11.png and IMG_0.png there is a gap of 85 degrees"
+
+
+def test_a_placement_is_the_same_after_a_round_trip(tmp_path: Path) -> None:
+    found = replace(
+        placement(EVENLY), notes=("said",), metres_per_unit=0.2, up=np.array([0, 0, 1.0])
+    )
+    found.save(tmp_path)
+    read = Placement.load(tmp_path)
+    assert read.attempts == found.attempts and read.notes == ("said",)
+    assert found.poses is not None and read.poses is not None
+    for file, pose in found.poses.cam_from_world.items():
+        np.testing.assert_array_equal(read.poses.cam_from_world[file], pose)
+        np.testing.assert_array_equal(read.poses.tracks[file], found.poses.tracks[file])
+    assert read.poses.evidence is not None and found.poses.evidence is not None
+    np.testing.assert_array_equal(read.poses.evidence.shared, found.poses.evidence.shared)
+    (tmp_path / "placement.json").write_text("{}")
+    with pytest.raises(CorruptError, match=r"placement\.json"):
+        Placement.load(tmp_path)
