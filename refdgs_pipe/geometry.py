@@ -8,6 +8,8 @@ from refdgs_pipe.camera import Camera
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
+_ROUNDS = 20
+
 
 def y_up_from_z_up(up: F64) -> F64:
     """(3, 3) rotation to the frame of glTF and USD: +Y up.
@@ -51,3 +53,32 @@ def without_jumps(depth: F32, normal: F32, camera: Camera, slack: float) -> NDAr
     slope = np.sqrt(np.maximum(1 / np.maximum(cosine, 0.05) ** 2 - 1, 0))
     explained = 2 * 2**0.5 * depth / float(camera.K[0, 0]) * slope
     return np.asarray((depth > 0) & (far - near < 2 * explained + slack))
+
+
+def robust_similarity(source: F64, target: F64) -> F64:
+    """(4, 4) similarity that lays points (n, 3) on their partners (n, 3).
+
+    Least squares (Umeyama 1991), pairs that do not fit weighted down in 20 rounds. The points are
+    not all in one line.
+    """
+    weights = np.ones(len(source))
+    world = np.eye(4)
+    for _ in range(_ROUNDS):
+        world = _similarity(source, target, weights)
+        misses = np.linalg.norm(source @ world[:3, :3].T + world[:3, 3] - target, axis=1)
+        weights = 1 / np.maximum(misses, np.median(misses) + 1e-12)
+    return world
+
+
+def _similarity(source: F64, target: F64, weights: F64) -> F64:
+    """(4, 4) that takes (N, 3) source to target, weighted least squares."""
+    w = (weights / weights.sum())[:, None]
+    a, b = source - (w * source).sum(0), target - (w * target).sum(0)
+    u, sizes, vt = np.linalg.svd((w * b).T @ a)
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
+    rotation = (u * signs) @ vt
+    scale = float((sizes * signs).sum() / (w * a * a).sum())
+    out = np.eye(4)
+    out[:3, :3] = scale * rotation
+    out[:3, 3] = (w * target).sum(0) - scale * rotation @ (w * source).sum(0)
+    return out

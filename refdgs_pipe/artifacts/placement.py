@@ -55,6 +55,8 @@ class Poses:
         error_px: mean reprojection error.
         mapper: "incremental", "global" or "mat".
         evidence: None where places do not come from features.
+        rival: median distance between the photos' places here and in another solution from the
+            same matches, as a share of the photos' distance from their middle; None without one.
     """
 
     cam_from_world: dict[str, F64]
@@ -66,6 +68,7 @@ class Poses:
     error_px: float
     mapper: str
     evidence: Evidence | None = None
+    rival: float | None = None
 
 
 @dataclass(frozen=True)
@@ -169,6 +172,7 @@ def _to_json(poses: Poses) -> dict[str, Any]:
         "lenses": [[name, w, h, params.tolist()] for name, w, h, params in poses.lenses],
         "error_px": poses.error_px,
         "mapper": poses.mapper,
+        "rival": poses.rival,
         "evidence": None if poses.evidence is None else list(poses.evidence.names),
     }
 
@@ -190,4 +194,5 @@ def _from_json(record: dict[str, Any], data: dict[str, NDArray[Any]]) -> Poses:
         error_px=float(record["error_px"]),
         mapper=str(record["mapper"]),
         evidence=evidence,
+        rival=record["rival"],
     )

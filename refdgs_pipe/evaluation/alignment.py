@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from refdgs_pipe.artifacts.mesh import TriangleMesh
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.errors import CorruptError
+from refdgs_pipe.geometry import robust_similarity
 
 F64 = NDArray[np.float64]
 
 _LEAST = 3  # cameras not in a line fix a similarity
-_ROUNDS = 20
 
 
 def read_true_centers(path: Path) -> dict[str, F64]:
@@ -52,29 +52,10 @@ def world_from_truth(cameras: Sequence[Camera], centers: Mapping[str, F64]) -> F
     truth = np.stack([centers[camera.name] for camera in both])
     if np.linalg.matrix_rank(truth - truth.mean(0), tol=1e-6 * np.ptp(truth)) < 2:
         return None
-    weights = np.ones(len(both))
-    for _ in range(_ROUNDS):
-        world = _similarity(truth, found, weights)
-        misses = np.linalg.norm(truth @ world[:3, :3].T + world[:3, 3] - found, axis=1)
-        weights = 1 / np.maximum(misses, np.median(misses) + 1e-12)
-    return world
+    return robust_similarity(truth, found)
 
 
 def laid(mesh: TriangleMesh, world: F64) -> TriangleMesh:
     """A mesh moved by a (4, 4) similarity."""
     vertices = mesh.vertices.astype(np.float64) @ world[:3, :3].T + world[:3, 3]
     return TriangleMesh(vertices.astype(np.float32), mesh.faces)
-
-
-def _similarity(source: F64, target: F64, weights: F64) -> F64:
-    """(4, 4) that takes (N, 3) source to target, weighted least squares."""
-    w = (weights / weights.sum())[:, None]
-    a, b = source - (w * source).sum(0), target - (w * target).sum(0)
-    u, sizes, vt = np.linalg.svd((w * b).T @ a)
-    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
-    rotation = (u * signs) @ vt
-    scale = float((sizes * signs).sum() / (w * a * a).sum())
-    out = np.eye(4)
-    out[:3, :3] = scale * rotation
-    out[:3, 3] = (w * target).sum(0) - scale * rotation @ (w * source).sum(0)
-    return out

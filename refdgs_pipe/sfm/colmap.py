@@ -16,7 +16,7 @@ import pycolmap
 from refdgs_pipe.artifacts.placement import Poses
 from refdgs_pipe.sfm import database as base
 from refdgs_pipe.sfm import mapping
-from refdgs_pipe.sfm.evidence import Known, hold_out, poses_of
+from refdgs_pipe.sfm.evidence import Known, deviation, hold_out, poses_of
 from refdgs_pipe.sfm.poses import Effort, OnProgress, Shots
 from refdgs_pipe.sfm.still import Features, Still, find_still
 from refdgs_pipe.sfm.trust import trusted
@@ -70,7 +70,8 @@ def reconstruct(
         if model is not None:
             known = Known(still.share, frozenset())
             found = poses_of(mapping.refined(model), "global", database, known)
-            best = max(best, found, key=_score)
+            rival = None if best is None else deviation(best, found)
+            best = replace(max(best or found, found, key=_score), rival=rival)
     return best, _notes(still)
 
 

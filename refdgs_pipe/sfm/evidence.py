@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from refdgs_pipe.artifacts.placement import Evidence, Poses
 from refdgs_pipe.camera import F64
+from refdgs_pipe.geometry import robust_similarity
 
+COMMON = 5  # photos in two solutions that can be compared
 HELD_EVERY = 8
 HELD_MATCHES = 30  # verified matches of a pair that is worth holding out
 PARTNERS_LEFT = 6
@@ -93,6 +95,20 @@ def poses_of(model: Any, mapper: str, database: Path, known: Known) -> Poses:
         mapper=mapper,
         evidence=evidence_of(model, database, known, poses, tracks, xyz),
     )
+
+
+def deviation(one: Poses, other: Poses) -> float | None:
+    """How far two solutions put the photos apart: median of the centres' distances after a
+    similarity, by the median distance of the centres from their middle. None below five photos.
+    """
+    both = sorted(set(one.cam_from_world) & set(other.cam_from_world))
+    if len(both) < COMMON:
+        return None
+    a, b = (np.stack([_center(poses.cam_from_world[f]) for f in both]) for poses in (other, one))
+    world = robust_similarity(a, b)
+    misses = np.linalg.norm(a @ world[:3, :3].T + world[:3, 3] - b, axis=1)
+    size = np.median(np.linalg.norm(b - np.median(b, axis=0), axis=1))
+    return float(np.median(misses) / max(float(size), 1e-12))
 
 
 def evidence_of(

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from refdgs_pipe.artifacts.placement import Placement, Poses
+from refdgs_pipe.artifacts.placement import Evidence, Placement, Poses
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import F64, Camera
@@ -22,6 +22,8 @@ BRIDGE = 10  # points that have to hold two groups of photos together
 FARTHER = 5.0  # times the median distance, or as many times nearer: not of the same capture
 ASIDE = 1.25  # of the angle from the axis to the photo's corner, beyond which the object lies
 CONFLICT = 0.35  # of the matches between placed photos that may contradict the places
+HELD_PAIRS = 5
+APART = 0.1  # of the photos' distance from their middle, between two solutions
 BALL_POINTS = 30  # points in the object ball, each seen by three photos
 BALL_PHOTOS = 0.5  # of the photos that have to see some of them
 BALL_SEEN = 5  # points that count as some
@@ -93,6 +95,10 @@ def examine(views: Views, placement: Placement, *, least: float) -> Judgement:
     if model is not None and poses is not None:
         if evidence is not None:
             checks.append(_agreeing(conflict(evidence)))
+            checks += _held_out(evidence)
+        if poses.rival is not None:
+            checks.append(_two_solutions(poses.rival))
+        if evidence is not None:
             checks += _about_the_ball(model)
         checks.append(_spread(model))
         gaps = gaps_of(model, {view.name: view.source or view.name for view in views.items})
@@ -212,6 +218,29 @@ def _agreeing(share: float) -> Check:
         share <= CONFLICT,
         "Something repeats or moves: equal things side by side, a background that moves with the "
         "object, photos of two captures in one folder. Cover or mask it, or take it away",
+    )
+
+
+def _held_out(evidence: Evidence) -> list[Check]:
+    """The pairs that the mapper did not get, where there are enough."""
+    count = int((evidence.held & ~np.isnan(evidence.agree)).sum())
+    if count < HELD_PAIRS:
+        return []
+    share = conflict(evidence, held=True)
+    found = (
+        f"{share:.0%} in {count} pairs that were kept for this, at most {CONFLICT:.0%} are usual"
+    )
+    advice = _agreeing(share).advice
+    return [Check("contradicting matches in pairs held out", found, share <= CONFLICT, advice)]
+
+
+def _two_solutions(apart: float) -> Check:
+    return Check(
+        "distance between two solutions from the same matches",
+        f"{apart:.0%} of the photos' distances, at most {APART:.0%} are usual",
+        apart <= APART,
+        "The photos fit together in more than one way. Take more photos in between, and put more "
+        "texture round the object",
     )
 
 

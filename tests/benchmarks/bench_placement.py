@@ -29,6 +29,7 @@ from PIL import Image
 from refdgs_pipe.artifacts.placement import Placement
 from refdgs_pipe.child import call_in_child
 from refdgs_pipe.errors import RefdgsError
+from refdgs_pipe.geometry import robust_similarity
 from refdgs_pipe.sfm.gate import Judgement, examine
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(36000)]
@@ -186,25 +187,14 @@ def _write(source: Source, damage: Damage, folder: Path) -> None:
 
 
 def errors(found: dict[str, np.ndarray], truth: dict[str, np.ndarray]) -> dict[str, float]:
-    """How far centres lie from the truth after alignment, in % of the camera distance.
-
-    A similarity by iterated least squares, far photos weighted down.
-    """
+    """How far centres lie from the truth after alignment, in % of the camera distance."""
     names = [name for name in found if name in truth]
     if len(names) < 3:
         return {}
     a, b = (np.stack([table[name] for name in names]) for table in (found, truth))
     distance = float(np.median(np.linalg.norm(b, axis=1)))
-    weights = np.ones(len(names))
-    off = np.zeros(len(names))
-    for _ in range(20):
-        share = weights / weights.sum()
-        p, q = a - share @ a, b - share @ b
-        U, sizes, Vt = np.linalg.svd((q * share[:, None]).T @ p)
-        flip = np.diag([1, 1, np.sign(np.linalg.det(U @ Vt))])
-        scale = np.trace(np.diag(sizes) @ flip) / ((p**2).sum(1) @ share)
-        off = np.linalg.norm(scale * p @ (U @ flip @ Vt).T - q, axis=1)
-        weights = 1 / np.maximum(off, 1e-3 * distance)
+    world = robust_similarity(a, b)
+    off = np.linalg.norm(a @ world[:3, :3].T + world[:3, 3] - b, axis=1)
     return {name: float(100 * o / distance) for name, o in zip(names, off, strict=True)}
 
 
