@@ -19,7 +19,7 @@ from refdgs_pipe.sfm import mapping
 from refdgs_pipe.sfm.evidence import Known, deviation, hold_out, poses_of
 from refdgs_pipe.sfm.poses import Effort, OnProgress, Shots
 from refdgs_pipe.sfm.still import Features, Still, find_still
-from refdgs_pipe.sfm.trust import trusted
+from refdgs_pipe.sfm.trust import standing
 
 DOUBLED_UP_TO = 1000  # px
 GLOBAL_BELOW = 0.9  # share trusted under which the global mapper is tried too
@@ -33,8 +33,8 @@ def reconstruct(
     effort: Effort,
     scratch: Path,
     progress: OnProgress,
-) -> tuple[Poses | None, tuple[str, ...]]:
-    """Place as many of the photos as possible; None if there is no start at all.
+) -> tuple[Poses, tuple[str, ...]]:
+    """Place as many of the photos as possible; without a start no poses, but what was matched.
 
     Args:
         masks: folder of NAME.png.png, black where features are ignored.
@@ -58,33 +58,23 @@ def reconstruct(
     base.match(database, files, effort, progress)
     still = _without_still(database, progress)
     best = _best(database, images, scratch / "incremental", progress, still)
-    lost = [file for file in files if best is None or file not in best.cam_from_world]
-    if lost and best is not None and len(files) > base.EXHAUSTIVE_UP_TO:
+    lost = [file for file in files if file not in best.cam_from_world]
+    if lost and best.cam_from_world and len(files) > base.EXHAUSTIVE_UP_TO:
         pairs = [(a, b) for a in sorted(lost) for b in files if a != b]
         base.match_pairs(database, pairs, effort, progress)
         again = _best(database, images, scratch / "again", progress, still)
-        best = max(best, again, key=_score)
-    if _score(best)[0] < GLOBAL_BELOW * len(files):
+        best = max(best, again, key=standing)
+    if standing(best)[0] < GLOBAL_BELOW * len(files):
         progress("solving all poses at once", 0, None)
         model = mapping.all_at_once(database, images, scratch / "global")
         if model is not None:
             known = Known(still.share, frozenset())
             found = poses_of(mapping.refined(model), "global", database, known)
-            rival = None if best is None else deviation(best, found)
-            best = replace(max(best or found, found, key=_score), rival=rival)
+            best = replace(max(best, found, key=standing), rival=deviation(best, found))
     return best, _notes(still)
 
 
-def _score(poses: Poses | None) -> tuple[int, int, int]:
-    """How much was found: trusted photos first, then placed ones, then points."""
-    if poses is None:
-        return (0, 0, 0)
-    return (len(trusted(poses)), len(poses.cam_from_world), len(poses.points))
-
-
-def _best(
-    database: Path, images: Path, folder: Path, progress: OnProgress, still: Still
-) -> Poses | None:
+def _best(database: Path, images: Path, folder: Path, progress: OnProgress, still: Still) -> Poses:
     """The incremental mapper's model with the most trusted photos; some pairs are held out."""
     count = [0]
     total = len(still.share)
@@ -103,7 +93,9 @@ def _best(
         for model in models
         if 2 * mapping.size(model)[0] >= mapping.size(models[0])[0]
     ]
-    return max(found, key=_score, default=None)
+    if not found:
+        return poses_of(None, "incremental", database, known)
+    return max(found, key=standing)
 
 
 def _without_still(database: Path, progress: OnProgress) -> Still:

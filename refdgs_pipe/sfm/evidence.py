@@ -62,11 +62,12 @@ def hold_out(database: Path) -> frozenset[tuple[int, int]]:
 
 
 def poses_of(model: Any, mapper: str, database: Path, known: Known) -> Poses:
-    """A reconstruction as arrays, with its evidence.
+    """A reconstruction as arrays, with its evidence; None gives no places, but what was matched.
 
     Args:
         database: with all pairs, also those that were held out.
     """
+    model = pycolmap.Reconstruction() if model is None else model
     point_ids = sorted(model.point3D_ids())
     index = {point_id: i for i, point_id in enumerate(point_ids)}
     images = sorted((model.image(i) for i in model.reg_image_ids()), key=lambda image: image.name)

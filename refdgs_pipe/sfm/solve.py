@@ -10,12 +10,13 @@ from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.sfm.pictures import MaskUse, Pictures, feature_masks
 from refdgs_pipe.sfm.posed import shots_of
 from refdgs_pipe.sfm.poses import Effort
-from refdgs_pipe.sfm.trust import trusted
+from refdgs_pipe.sfm.trust import standing
 
 GOOD = 0.9  # share of photos trusted above which the slow rungs are not worth their time
+HOPE = 0.25  # share of photos trusted below which adapting features will not reach enough
 SLOW_FEATURES = 4096  # of a photo, on the rung that adapts each feature
 
-Run = Callable[[dict[str, Any]], tuple[Poses | None, tuple[str, ...]]]
+Run = Callable[[dict[str, Any]], tuple[Poses, tuple[str, ...]]]
 
 
 @dataclass(frozen=True)
@@ -25,6 +26,7 @@ class Rung:
     Args:
         name: in words; key: safe as a folder's name.
         only_below: share of photos trusted so far at which it is not tried any more.
+        only_from: share of photos trusted so far under which it is not worth its time.
     """
 
     name: str
@@ -32,6 +34,7 @@ class Rung:
     effort: Effort
     use: MaskUse
     only_below: float
+    only_from: float = 0.0
 
 
 def solve(
@@ -54,9 +57,9 @@ def solve(
     """
     total = len(views.items)
     best: Poses | None = None
-    kept, notes, attempts = -1, tuple[str, ...](), list[Attempt]()
+    kept, notes, attempts = 0, tuple[str, ...](), list[Attempt]()
     for rung in _rungs(effort, masks, is_masked=views.background != "photo"):
-        if kept >= rung.only_below * total:
+        if kept >= rung.only_below * total or kept < rung.only_from * total:
             continue
         poses, said = run(
             {
@@ -67,16 +70,15 @@ def solve(
                 "scratch": scratch / f"colmap-{rung.key}",
             }
         )
-        count = len(trusted(poses)) if poses else 0
-        placed, points = (len(poses.cam_from_world), len(poses.points)) if poses else (0, 0)
+        rank = count, placed, points = standing(poses)
         attempts.append(Attempt(rung.name, placed, count, points))
-        if best is None or _rank(poses) > _rank(best):
+        if best is None or rank > standing(best):
             best, kept, notes = poses, count, said
     return Placement(best, tuple(attempts), notes)
 
 
 def _rungs(effort: Effort, masks: MaskUse | Literal["auto"], *, is_masked: bool) -> Iterator[Rung]:
-    """The ladder. Whole trust in every photo ends it; the slow rungs end at 90 %."""
+    """The ladder. Trust in every photo ends it, in 90 % of them the slow rungs."""
     first: MaskUse = "none" if masks == "auto" or not is_masked else masks
     finer = replace(effort, first_octave=-1, faint=True)
     slow = replace(finer, affine=True, max_features=min(effort.max_features, SLOW_FEATURES))
@@ -85,10 +87,4 @@ def _rungs(effort: Effort, masks: MaskUse | Literal["auto"], *, is_masked: bool)
     if masks == "auto" and is_masked:
         yield Rung("features on the object only", "object", finer, "object", GOOD)
         yield Rung("features around the object only", "around", finer, "background", GOOD)
-    yield Rung("features adapted to steep views", "affine", slow, first, GOOD)
-
-
-def _rank(poses: Poses | None) -> tuple[int, int, int]:
-    if poses is None:
-        return (0, 0, 0)
-    return (len(trusted(poses)), len(poses.cam_from_world), len(poses.points))
+    yield Rung("features adapted to steep views", "affine", slow, first, GOOD, HOPE)

@@ -60,6 +60,11 @@ def trusted(poses: Poses) -> list[str]:
     return [file for file, support in supports(poses).items() if not _doubt(support, least)]
 
 
+def standing(poses: Poses) -> tuple[int, int, int]:
+    """How much was found: photos that are trusted, photos placed, points. More is better."""
+    return len(trusted(poses)), len(poses.cam_from_world), len(poses.points)
+
+
 def reasons(
     poses: Poses | None, evidence: Evidence | None, said: Mapping[str, str]
 ) -> dict[str, str]:
