@@ -50,7 +50,7 @@ def solve(
 
     Around a still object the background helps, on a turntable it misleads: with `masks` "auto"
     everything counts at first, then only the object, then only the background. Rungs:
-    as the settings say; finer and fainter features; the masks; features adapted to steep views.
+    as the settings say; finer features; finer and fainter ones; the masks; features adapted to steep views.
 
     Args:
         run: calls `colmap.reconstruct` with these arguments, in a process of its own.
@@ -80,10 +80,13 @@ def solve(
 def _rungs(effort: Effort, masks: MaskUse | Literal["auto"], *, is_masked: bool) -> Iterator[Rung]:
     """The ladder. Trust in every photo ends it, in 90 % of them the slow rungs."""
     first: MaskUse = "none" if masks == "auto" or not is_masked else masks
-    finer = replace(effort, first_octave=-1, faint=True)
-    slow = replace(finer, affine=True, max_features=min(effort.max_features, SLOW_FEATURES))
+    finer = replace(effort, first_octave=-1)
+    fainter = replace(finer, faint=True)
+    slow = replace(fainter, affine=True, max_features=min(effort.max_features, SLOW_FEATURES))
     yield Rung("features as set", "first", effort, first, 1.0)
-    yield Rung("finer and fainter features", "finer", finer, first, 1.0)
+    if effort.first_octave != -1:
+        yield Rung("finer features", "finer", finer, first, 1.0)
+    yield Rung("finer and fainter features", "fainter", fainter, first, GOOD)
     if masks == "auto" and is_masked:
         yield Rung("features on the object only", "object", finer, "object", GOOD)
         yield Rung("features around the object only", "around", finer, "background", GOOD)
