@@ -21,7 +21,6 @@ from refdgs_pipe.sfm.poses import Effort, OnProgress, Shots
 from refdgs_pipe.sfm.still import Features, Still, find_still
 from refdgs_pipe.sfm.trust import standing
 
-DOUBLED_UP_TO = 1000  # px
 GLOBAL_BELOW = 0.9  # share trusted under which the global mapper is tried too
 LEAST_MATCHES = 15  # of a pair that is verified again, as COLMAP's own limit
 
@@ -38,6 +37,7 @@ def reconstruct(
 
     Args:
         masks: folder of NAME.png.png, black where features are ignored.
+        effort: with a number as its `first_octave`.
         scratch: a folder for the database and the models; what is in it is replaced.
 
     Returns:
@@ -51,9 +51,6 @@ def reconstruct(
     database = scratch / "database.db"
     files = sorted(file for group in shots for file in group.files)
     base.register(database, shots)
-    doubled = max(max(group.width, group.height) for group in shots) <= DOUBLED_UP_TO
-    octave = effort.first_octave if effort.first_octave is not None else -int(doubled)
-    effort = replace(effort, first_octave=octave)
     base.extract(database, images, masks, effort, progress, files)
     base.match(database, files, effort, progress)
     still = _without_still(database, progress)

@@ -12,6 +12,7 @@ from refdgs_pipe.sfm.posed import shots_of
 from refdgs_pipe.sfm.poses import Effort
 from refdgs_pipe.sfm.trust import standing
 
+DOUBLED_UP_TO = 1000  # px: of smaller photos the finest features are most of what there is
 GOOD = 0.9  # share of photos trusted above which the slow rungs are not worth their time
 HOPE = 0.25  # share of photos trusted below which adapting features will not reach enough
 SLOW_FEATURES = 4096  # of a photo, on the rung that adapts each feature
@@ -50,12 +51,16 @@ def solve(
 
     Around a still object the background helps, on a turntable it misleads: with `masks` "auto"
     everything counts at first, then only the object, then only the background. Rungs:
-    as the settings say; finer features; finer and fainter ones; the masks; features adapted to steep views.
+    as the settings say; finer features; finer and fainter ones; the masks; features adapted to
+    steep views.
 
     Args:
         run: calls `colmap.reconstruct` with these arguments, in a process of its own.
     """
     total = len(views.items)
+    if effort.first_octave is None:
+        is_small = max(max(size) for size in pictures.sizes.values()) <= DOUBLED_UP_TO
+        effort = replace(effort, first_octave=-int(is_small))
     best: Poses | None = None
     kept, notes, attempts = 0, tuple[str, ...](), list[Attempt]()
     for rung in _rungs(effort, masks, is_masked=views.background != "photo"):
