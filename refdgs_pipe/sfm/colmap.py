@@ -22,6 +22,7 @@ from refdgs_pipe.sfm.still import Features, Still, find_still
 from refdgs_pipe.sfm.trust import standing
 
 GLOBAL_BELOW = 0.9  # share trusted under which the global mapper is tried too
+CREDIBLE = 0.8  # of the trusted photos: a solution with fewer is no evidence against the other
 LEAST_MATCHES = 15  # of a pair that is verified again, as COLMAP's own limit
 
 
@@ -67,7 +68,9 @@ def reconstruct(
         if model is not None:
             known = Known(still.share, frozenset())
             found = poses_of(mapping.refined(model), "global", database, known)
-            best = replace(max(best, found, key=standing), rival=deviation(best, found))
+            credible = standing(found)[0] >= CREDIBLE * standing(best)[0]
+            rival = deviation(best, found) if credible else None
+            best = replace(max(best, found, key=standing), rival=rival)
     return best, _notes(still)
 
 

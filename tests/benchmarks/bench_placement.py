@@ -34,7 +34,7 @@ from refdgs_pipe.sfm.gate import Judgement, examine
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(36000)]
 
-SIDE, PHOTOS, FEATURES = 512, 24, 3000  # small: what is tested is the judgement
+SIDE, PHOTOS, FEATURES = 480, 20, 2000  # small: what is tested is the judgement
 RIGHT = 2.0  # % of the camera distance: a centre that is nearer to the truth is right
 WRONG = 5.0  # and one that is farther is wrong
 LEAST = 0.7
