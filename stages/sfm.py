@@ -21,6 +21,9 @@ class SfmParams(Params):
     masks: Literal["auto", "object", "background", "none"] = Field(
         "auto", description="where features count; auto tries none, then object, then background"
     )
+    mat_line: float = Field(
+        180.0, ge=90, le=360, description="printed mat's ruler line as measured, in millimetres"
+    )
 
 
 @stage(version=3, programs=("pycolmap",))
@@ -39,7 +42,8 @@ def sfm(views: Views, params: SfmParams, job: Job) -> Placement:
         return Placement(None, known=True)
     effort = Effort(params.max_side, params.max_features, params.first_octave, job.threads)
     pictures = plain_images(views, job.scratch)
-    placement = solve(views, pictures, effort, masks=params.masks, scratch=job.scratch, run=run)
+    given: dict[str, Any] = {"masks": params.masks, "line_mm": params.mat_line}
+    placement = solve(views, pictures, effort, scratch=job.scratch, run=run, **given)
     for attempt in placement.attempts:
         found = f"{attempt.placed} placed, {attempt.trusted} trusted, {attempt.points} points"
         job.measure(attempt.name, found)

@@ -57,6 +57,7 @@ class Poses:
         evidence: None where places do not come from features.
         rival: median distance between the photos' places here and in another solution from the
             same matches, as a share of the photos' distance from their middle; None without one.
+        by_mat: files that were placed by the printed mat, in a frame that features gave.
     """
 
     cam_from_world: dict[str, F64]
@@ -69,6 +70,7 @@ class Poses:
     mapper: str
     evidence: Evidence | None = None
     rival: float | None = None
+    by_mat: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -173,6 +175,7 @@ def _to_json(poses: Poses) -> dict[str, Any]:
         "error_px": poses.error_px,
         "mapper": poses.mapper,
         "rival": poses.rival,
+        "by_mat": list(poses.by_mat),
         "evidence": None if poses.evidence is None else list(poses.evidence.names),
     }
 
@@ -195,4 +198,5 @@ def _from_json(record: dict[str, Any], data: dict[str, NDArray[Any]]) -> Poses:
         mapper=str(record["mapper"]),
         evidence=evidence,
         rival=record["rival"],
+        by_mat=tuple(record["by_mat"]),
     )

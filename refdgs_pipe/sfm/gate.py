@@ -6,11 +6,11 @@ list of checks; each says what was found and what to do about it.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from refdgs_pipe.artifacts.placement import Evidence, Placement, Poses
+from refdgs_pipe.artifacts.placement import Evidence, Placement
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import F64, Camera
@@ -80,16 +80,16 @@ def examine(views: Views, placement: Placement, *, least: float) -> Judgement:
     evidence = None if poses is None else poses.evidence
     lost = reasons(poses, evidence, said)
     if poses is not None and evidence is not None:
-        left = [file for file in poses.cam_from_world if file not in lost]
+        left = [f for f in poses.cam_from_world if f not in lost and f not in poses.by_mat]
         for apart in groups(evidence, left, least=BRIDGE)[1:]:
             why = f"fewer than {BRIDGE} points hold it and {len(apart) - 1} others to the rest"
             lost |= dict.fromkeys(apart, why)
-    model = _model(views, poses, lost)
+    model = _model(views, placement, lost)
     if model is not None:
         stray = _strays(model)
         if stray and len(stray) < len(model.cameras):
             lost |= {f"{name}.png": why for name, why in stray.items()}
-            model = _model(views, poses, lost)
+            model = _model(views, placement, lost)
     checks = [_enough(said, lost, least)]
     gaps: tuple[str, ...] = ()
     if model is not None and poses is not None:
@@ -163,14 +163,19 @@ def _azimuths(model: SparseModel) -> dict[str, float]:
     }
 
 
-def _model(views: Views, poses: Poses | None, lost: Mapping[str, str]) -> SparseModel | None:
+def _model(views: Views, placement: Placement, lost: Mapping[str, str]) -> SparseModel | None:
     """The model of the photos that are left; None if they are too few or look at nothing."""
+    poses = placement.poses
     if poses is None or sum(file not in lost for file in poses.cam_from_world) < 3:
         return None
     try:
-        return model_from_poses(views, poses, lost)
+        model = model_from_poses(views, poses, lost, up=placement.up)
     except PoseError:
         return None
+    if placement.metres_per_unit is None:
+        return model
+    scale = float(np.cbrt(np.linalg.det(model.sfm_from_world[:3, :3])))
+    return replace(model, metres_per_unit=placement.metres_per_unit * scale)
 
 
 def _strays(model: SparseModel) -> dict[str, str]:

@@ -105,6 +105,7 @@ def found_by_mat(
         points=np.concatenate([poses.points, points]),
         colors=np.concatenate([poses.colors, colors]),
         tracks=poses.tracks | moved,
+        by_mat=tuple(new),
     )
 
 

@@ -40,12 +40,15 @@ def shots_of(views: Views, sizes: Mapping[str, tuple[int, int]]) -> tuple[Shots,
     return tuple(shots)
 
 
-def model_from_poses(views: Views, poses: Poses, lost: Mapping[str, str]) -> SparseModel:
+def model_from_poses(
+    views: Views, poses: Poses, lost: Mapping[str, str], *, up: F64 | None = None
+) -> SparseModel:
     """Bring the poses into the world frame: z up, the object on the origin, its ball the unit.
 
     Args:
         lost: file name -> why it has no trusted place; these photos are left out, and with them
             the points that fewer than two others see.
+        up: (3,) unit vector in the frame of the poses, where something told it.
     """
     by_file = {f"{view.name}.png": view for view in views.items}
     kept = [file for file in poses.cam_from_world if file not in lost]
@@ -72,7 +75,7 @@ def model_from_poses(views: Views, poses: Poses, lost: Mapping[str, str]) -> Spa
         metres_per_unit=None,
         lost=tuple(Lost(by_file[file].name, why) for file, why in lost.items()),
     )
-    return in_world_frame(model, views)
+    return in_world_frame(model, views, up=up)
 
 
 def _seen_points(
@@ -90,14 +93,19 @@ def _seen_points(
     return poses.points[times >= 2], poses.colors[times >= 2], tracks
 
 
-def in_world_frame(model: SparseModel, views: Views) -> SparseModel:
-    """Find up, support and ball, and move everything so that they are z, the origin and 1."""
-    up = level_up(model.cameras)
+def in_world_frame(model: SparseModel, views: Views, *, up: F64 | None = None) -> SparseModel:
+    """Find up, support and ball, and move everything so that they are z, the origin and 1.
+
+    Args:
+        up: (3,) unit vector where something told it, such as the printed mat.
+    """
+    told = up is not None
+    up = level_up(model.cameras) if up is None else up
     ball = object_ball(model.cameras, views)
     if views.background == "photo":
         ball = grown_ball(ball, off_planes(model.points, ball.center, ball.radius))
     plane = support_plane(model.points, ball.center, ball.radius, up)
-    up = up if plane is None else plane.normal
+    up = up if plane is None or told else plane.normal
     front = model.cameras[0].center
     world = world_from_sfm(ball, up, plane, model.points, front)
     return moved(replace(model, ball=ball, up=up), world)

@@ -1,16 +1,23 @@
 """The ladder: ways of placing photos, each tried where the last left some without a place."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from refdgs_pipe.artifacts.placement import Attempt, Placement, Poses
 from refdgs_pipe.artifacts.views import Views
+from refdgs_pipe.mat.detection import Seen, seen_in_files
+from refdgs_pipe.mat.layout import LINE_MM
+from refdgs_pipe.sfm.mat_frame import Refused, mat_frame, sightings_in_poses
+from refdgs_pipe.sfm.mat_pose import found_by_mat, placed_by_mat
 from refdgs_pipe.sfm.pictures import MaskUse, Pictures, feature_masks
 from refdgs_pipe.sfm.posed import shots_of
 from refdgs_pipe.sfm.poses import Effort
 from refdgs_pipe.sfm.trust import standing
+from refdgs_pipe.wording import counted
 
 DOUBLED_UP_TO = 1000  # px: of smaller photos the finest features are most of what there is
 GOOD = 0.9  # share of photos trusted above which the slow rungs are not worth their time
@@ -46,6 +53,7 @@ def solve(
     masks: MaskUse | Literal["auto"],
     scratch: Path,
     run: Run,
+    line_mm: float = LINE_MM,
 ) -> Placement:
     """The placement of the attempt that placed most photos where they can be trusted.
 
@@ -56,30 +64,78 @@ def solve(
 
     Args:
         run: calls `colmap.reconstruct` with these arguments, in a process of its own.
+        line_mm: length of the printed mat's ruler line, as measured.
     """
-    total = len(views.items)
+    files = [f"{view.name}.png" for view in views.items]
+    mat = seen_in_files(pictures.folder, files, threads=effort.threads)
+    shots = shots_of(views, pictures.sizes)
     if effort.first_octave is None:
         is_small = max(max(size) for size in pictures.sizes.values()) <= DOUBLED_UP_TO
         effort = replace(effort, first_octave=-int(is_small))
-    best: Poses | None = None
-    kept, notes, attempts = 0, tuple[str, ...](), list[Attempt]()
+    so_far = _SoFar(len(views.items))
     for rung in _rungs(effort, masks, is_masked=views.background != "photo"):
-        if kept >= rung.only_below * total or kept < rung.only_from * total:
+        if not rung.only_from <= so_far.share < rung.only_below:
             continue
         poses, said = run(
             {
                 "images": pictures.folder,
-                "shots": shots_of(views, pictures.sizes),
+                "shots": shots,
                 "masks": feature_masks(views, pictures, rung.use, scratch),
                 "effort": rung.effort,
                 "scratch": scratch / f"colmap-{rung.key}",
             }
         )
-        rank = count, placed, points = standing(poses)
-        attempts.append(Attempt(rung.name, placed, count, points))
-        if best is None or rank > standing(best):
-            best, kept, notes = poses, count, said
-    return Placement(best, tuple(attempts), notes)
+        is_first = not so_far.attempts
+        so_far.keep(rung.name, found_by_mat(poses, mat, shots, line_mm=line_mm), said)
+        if is_first and so_far.share < GOOD:
+            alone = placed_by_mat(mat, shots, line_mm=line_mm)
+            if alone is not None:
+                so_far.keep("the printed mat alone", alone, ())
+    placement = Placement(so_far.best, tuple(so_far.attempts), so_far.notes)
+    return placement if so_far.best is None else _measured(placement, so_far.best, mat, line_mm)
+
+
+@dataclass
+class _SoFar:
+    """What has been tried, and the best of it."""
+
+    total: int
+    best: Poses | None = None
+    notes: tuple[str, ...] = ()
+    attempts: list[Attempt] = field(default_factory=list)
+
+    @property
+    def share(self) -> float:
+        """Of the photos that have a trusted place."""
+        return 0.0 if self.best is None else standing(self.best)[0] / self.total
+
+    def keep(self, name: str, poses: Poses, notes: tuple[str, ...]) -> None:
+        """Note an attempt; it becomes the best if it is."""
+        rank = trusted, placed, points = standing(poses)
+        self.attempts.append(Attempt(name, placed, trusted, points))
+        if self.best is None or rank > standing(self.best):
+            self.best, self.notes = poses, notes
+
+
+def _measured(
+    placement: Placement, poses: Poses, mat: dict[str, Seen], line_mm: float
+) -> Placement:
+    """The placement with size and up as the printed mat tells them, where photos show it."""
+    if poses.mapper == "mat":
+        up = np.array([0.0, 0.0, 1.0])
+        return replace(placement, metres_per_unit=1.0, up=up)
+    frame = mat_frame(sightings_in_poses(poses, mat), line_mm=line_mm)
+    if frame is None:
+        return placement
+    if isinstance(frame, Refused):
+        said = f"the printed mat gives no size: {frame.reason}"
+        return replace(placement, notes=(*placement.notes, said))
+    said = (
+        f"the printed mat gives size and up from {counted(frame.photos, 'photo')}: its corners fit "
+        f"to {frame.residual_mm:.2f} mm ({frame.residual_percent:.2f} % of its width)"
+    )
+    notes = (*placement.notes, said)
+    return replace(placement, metres_per_unit=frame.metres_per_unit, up=frame.up, notes=notes)
 
 
 def _rungs(effort: Effort, masks: MaskUse | Literal["auto"], *, is_masked: bool) -> Iterator[Rung]:

@@ -53,11 +53,12 @@ def supports(poses: Poses) -> dict[str, Support]:
 
 
 def trusted(poses: Poses) -> list[str]:
-    """The files whose places are trusted. Poses without evidence are not questioned."""
+    """The files whose places are trusted; those that features did not give are not questioned."""
     if poses.evidence is None:
         return list(poses.cam_from_world)
     least = min(PARTNERS, len(poses.cam_from_world) - 1)
-    return [file for file, support in supports(poses).items() if not _doubt(support, least)]
+    found = supports(poses)
+    return [f for f, support in found.items() if f in poses.by_mat or not _doubt(support, least)]
 
 
 def standing(poses: Poses) -> tuple[int, int, int]:
@@ -80,7 +81,7 @@ def reasons(
     for file in said:
         if file not in found:
             out[file] = _why_unplaced(evidence, file, said)
-        elif poses is not None and poses.evidence is not None:
+        elif poses is not None and poses.evidence is not None and file not in poses.by_mat:
             doubt = _doubt(found[file], least)
             if doubt:
                 out[file] = doubt

@@ -187,15 +187,32 @@ def _write(source: Source, damage: Damage, folder: Path) -> None:
 
 
 def errors(found: dict[str, np.ndarray], truth: dict[str, np.ndarray]) -> dict[str, float]:
-    """How far centres lie from the truth after alignment, in % of the camera distance."""
+    """How far centres lie from the truth after alignment, in % of the camera distance.
+
+    The similarity is that of the three photos that most others agree with, then of all these.
+    """
     names = [name for name in found if name in truth]
-    if len(names) < 3:
+    if len(names) < 4:
         return {}
     a, b = (np.stack([table[name] for name in names]) for table in (found, truth))
     distance = float(np.median(np.linalg.norm(b, axis=1)))
-    world = robust_similarity(a, b)
-    off = np.linalg.norm(a @ world[:3, :3].T + world[:3, 3] - b, axis=1)
-    return {name: float(100 * o / distance) for name, o in zip(names, off, strict=True)}
+
+    def off(world: np.ndarray) -> np.ndarray:
+        return 100 * np.linalg.norm(a @ world[:3, :3].T + world[:3, 3] - b, axis=1) / distance
+
+    rng = np.random.default_rng(0)
+    best = robust_similarity(a, b)
+    for _ in range(300):
+        three = rng.choice(len(names), 3, replace=False)
+        if np.linalg.matrix_rank(b[three] - b[three].mean(0), tol=0.1 * distance) < 2:
+            continue
+        world = robust_similarity(a[three], b[three])
+        if (off(world) <= RIGHT).sum() > (off(best) <= RIGHT).sum():
+            best = world
+    near = off(best) <= RIGHT
+    if near.sum() >= 4:
+        best = robust_similarity(a[near], b[near])
+    return {name: float(value) for name, value in zip(names, off(best), strict=True)}
 
 
 def _judge(
