@@ -1,7 +1,7 @@
 """Which photos' places can be trusted, photo by photo, from what their features say.
 
 A photo that the mapper placed is trusted if enough points that three photos see hold it, if these
-come from more than one partner, and if the pairs that the mapper did not build on agree too.
+come from more than one partner, and if less speaks against its place than for it.
 """
 
 from collections.abc import Mapping
@@ -16,7 +16,7 @@ from refdgs_pipe.camera import F64
 POINTS = 15  # points of the model, each seen by three photos or more, that hold a place
 PARTNERS = 2  # other photos that share some of them
 SHARED = 6  # points that make a photo a partner
-AGREE = 0.5  # of the verified matches of a photo, those that its place explains
+AGAINST = 0.5  # of the evidence on a photo's place, what may speak against it
 FEW_FEATURES = 150  # in a photo
 FEW_SHARED = 15  # features that COLMAP needs for a pair
 
@@ -28,12 +28,13 @@ class Support:
     Args:
         points: of the model that it and two more photos see.
         partners: photos that share at least six points with it.
-        agree: share of its verified matches that its place explains; NaN if there are none.
+        against: verified matches with other placed photos that its place contradicts, as a share
+            of these and of the points that it shares with the same photos.
     """
 
     points: int
     partners: int
-    agree: float
+    against: float
 
 
 def supports(poses: Poses) -> dict[str, Support]:
@@ -45,10 +46,10 @@ def supports(poses: Poses) -> dict[str, Support]:
     found = {}
     for file in poses.cam_from_world:
         points = int((times[poses.tracks[file]] >= 3).sum())
-        partners, agree = (len(poses.cam_from_world) - 1, float("nan"))
+        partners, against = len(poses.cam_from_world) - 1, 0.0
         if evidence is not None:
-            partners, agree = _partners_and_agreement(evidence, file)
-        found[file] = Support(points, partners, agree)
+            partners, against = _partners_and_contradiction(evidence, file)
+        found[file] = Support(points, partners, against)
     return found
 
 
@@ -94,23 +95,20 @@ def _doubt(support: Support, least: int) -> str:
         return f"only {support.points} points that two other photos see too hold its place"
     if support.partners < least:
         return f"shares points with {support.partners} other photo only"
-    if support.agree < AGREE:
+    if support.against > AGAINST:
         return (
-            f"only {support.agree:.0%} of its matches with other photos fit the place that was "
-            "found for it"
+            f"{support.against:.0%} of what its matches with other photos say speaks against the "
+            "place that was found for it"
         )
     return ""
 
 
-def _partners_and_agreement(evidence: Evidence, file: str) -> tuple[int, float]:
+def _partners_and_contradiction(evidence: Evidence, file: str) -> tuple[int, float]:
     row = evidence.names.index(file)
-    mine = (evidence.pairs == row).any(1)
-    partners = int((evidence.shared[mine] >= SHARED).sum())
-    share, weight = evidence.agree[mine], evidence.inliers[mine].astype(float)
-    known = ~np.isnan(share)
-    if not known.any() or not weight[known].sum():
-        return partners, float("nan")
-    return partners, float((share[known] * weight[known]).sum() / weight[known].sum())
+    mine = (evidence.pairs == row).any(1) & ~np.isnan(evidence.agree)
+    partners = int((evidence.shared[(evidence.pairs == row).any(1)] >= SHARED).sum())
+    against = float((evidence.inliers[mine] * (1 - evidence.agree[mine])).sum())
+    return partners, against / max(against + float(evidence.shared[mine].sum()), 1.0)
 
 
 def _why_unplaced(evidence: Evidence | None, file: str, said: Mapping[str, str]) -> str:
@@ -145,6 +143,9 @@ def _best_partner(evidence: Evidence, row: int) -> tuple[int, str]:
 
 def conflict(evidence: Evidence, *, held: bool = False) -> float:
     """Share of the verified matches between placed photos that contradict the places.
+
+    Where a place is right, matches may still contradict it: things that repeat, and what shiny
+    surfaces mirror. So photos are judged by what speaks for their places too.
 
     Args:
         held: only of the pairs that the mapper did not get.

@@ -99,9 +99,10 @@ def test_one_photo_that_its_matches_contradict_is_left_out_by_name(views: Views)
     assert found.poses is not None and found.poses.evidence is not None
     evidence = found.poses.evidence
     row = evidence.names.index("IMG_3.png")
-    agree = np.where((evidence.pairs == row).any(1), 0.2, evidence.agree)
-    judgement = examine(views, with_evidence(found, agree=agree), least=0.7)
-    assert list(judgement.lost) == ["IMG_3"] and "20%" in judgement.lost["IMG_3"]
+    mine = (evidence.pairs == row).any(1)
+    agree, shared = np.where(mine, 0.0, evidence.agree), np.where(mine, 60, evidence.shared)
+    judgement = examine(views, with_evidence(found, agree=agree, shared=shared), least=0.7)
+    assert list(judgement.lost) == ["IMG_3"] and "60% of what" in judgement.lost["IMG_3"]
     assert judgement.is_trusted
     assert judgement.model is not None and len(judgement.model.cameras) == COUNT - 1
 
