@@ -1,15 +1,15 @@
 """Finding the mat's markers in photos."""
 
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from pathlib import PurePath
+from pathlib import Path
 from typing import Any, get_args
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from refdgs_pipe.artifacts.views import View, Views
 from refdgs_pipe.camera import F64
 from refdgs_pipe.color import linear_from_srgb, srgb_from_linear
 from refdgs_pipe.files.images import Pixels, read_png
@@ -45,19 +45,26 @@ class Seen:
         return self.corners.reshape(-1, 2)
 
 
-def seen_in_views(views: Views, *, threads: int) -> dict[str, Seen]:
-    """The photos that show the mat: file name of the view's image -> its markers.
+def seen_in_files(
+    folder: Path, files: Iterable[str], *, threads: int, color_space: str = "srgb"
+) -> dict[str, Seen]:
+    """The photos that show the mat: file name -> its markers.
+
+    Args:
+        folder: where the PNGs are.
+        color_space: "srgb" or "linear".
 
     Raises:
         CorruptError: an image is missing or damaged.
     """
+    names = sorted(files)
 
-    def look(view: View) -> Seen | None:
-        return seen_in(eight_bit_grey(read_png(views.image_path(view)), views.color_space))
+    def look(name: str) -> Seen | None:
+        return seen_in(eight_bit_grey(read_png(folder / name), color_space))
 
     with ThreadPoolExecutor(max(1, threads)) as pool:
-        found = zip(views.items, pool.map(look, views.items), strict=True)
-        return {PurePath(view.file).name: seen for view, seen in found if seen is not None}
+        found = zip(names, pool.map(look, names), strict=True)
+        return {name: seen for name, seen in found if seen is not None}
 
 
 def eight_bit_grey(pixels: Pixels, color_space: str) -> U8:

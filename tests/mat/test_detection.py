@@ -6,9 +6,8 @@ import cv2
 import numpy as np
 from mat_scene import looking_at, photo, projected, ring
 
-from refdgs_pipe.artifacts.views import Exif, View, Views
 from refdgs_pipe.files.images import write_png
-from refdgs_pipe.mat.detection import eight_bit_grey, seen_in, seen_in_views
+from refdgs_pipe.mat.detection import eight_bit_grey, seen_in, seen_in_files
 from refdgs_pipe.mat.layout import mat_of
 
 CORNERS = mat_of("a4").corners()
@@ -75,14 +74,8 @@ def test_no_mat_no_markers() -> None:
 def test_linear_sixteen_bit_photos_are_read(tmp_path: Path) -> None:
     grey = photo(ring(1, 50)[0]).grey
     linear = np.round((grey.astype(float) / 255) ** 2.2 * 0.2 * 65535).astype(np.uint16)
-    write_png(tmp_path / "images" / "a.png", np.repeat(linear[..., None], 3, axis=2))
-    write_png(tmp_path / "images" / "b.png", np.full((50, 60, 3), 900, np.uint16))
-    views = Views(tmp_path, tuple(view(name) for name in "ab"), "linear", "photo")
-    seen = seen_in_views(views, threads=1)
+    write_png(tmp_path / "a.png", np.repeat(linear[..., None], 3, axis=2))
+    write_png(tmp_path / "b.png", np.full((50, 60, 3), 900, np.uint16))
+    seen = seen_in_files(tmp_path, ["b.png", "a.png"], threads=1, color_space="linear")
     assert list(seen) == ["a.png"] and len(seen["a.png"].ids) >= 18
     assert eight_bit_grey(linear, "linear").dtype == np.uint8
-
-
-def view(name: str) -> View:
-    """A view of which only the image counts."""
-    return View(name, f"images/{name}.png", 0, 0, None, "train", Exif(), 0, 0, None, name)
