@@ -38,12 +38,11 @@ def export(
     from refdgs_pipe.export import files
     from refdgs_pipe.export.about import about_asset
     from refdgs_pipe.export.frame import AssetFrame, latlong_light
-    from refdgs_pipe.export.product import product, scale_of
+    from refdgs_pipe.export.product import product, scale_of, told_size
     from refdgs_pipe.texture.levels import levels
 
     scale, told = scale_of(textured.mesh, known=model.metres_per_unit, longest=params.longest)
-    if told == "unknown":
-        job.measure("scale", "unknown: a unit is a metre; set export.longest, in metres")
+    job.measure("size", told_size(textured.mesh, scale, told))
     about = about_asset(params.recipe, (v.source or v.name for v in views.items), scale, told)
     turned = partial(product, up=model.up, metres_per_unit=scale, about=about)
     done, frame = turned(textured), AssetFrame.of(model.up, scale)

@@ -11,7 +11,7 @@ from refdgs_pipe.mat.detection import Seen
 from refdgs_pipe.mat.drawing import U8, picture
 from refdgs_pipe.mat.layout import Mat, mat_of
 
-PER_MM = 6.0
+PER_MM = 4.0
 SIZE = (640, 480)
 FOCAL = 620.0
 
@@ -77,7 +77,9 @@ def photo(
     fine = 2  # drawn larger, then averaged: no aliasing
     u, v = np.meshgrid(np.arange(width * fine) + 0.5, np.arange(height * fine) + 0.5)
     rays = np.stack([u / fine, v / fine], -1).reshape(-1, 1, 2)
-    flat = cv2.undistortPoints(rays, K, np.array([k1, 0, 0, 0, 0]))[:, 0]
+    flat = (rays[:, 0] - K[:2, 2]) / K[0, 0]
+    if k1:
+        flat = cv2.undistortPoints(rays, K, np.array([k1, 0, 0, 0, 0]))[:, 0]
     inverse = np.linalg.inv(pose[:3, [0, 1, 3]])
     on_mat = np.c_[flat, np.ones(len(flat))] @ inverse.T
     ahead = on_mat[:, 2] > 0

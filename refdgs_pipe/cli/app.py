@@ -3,8 +3,6 @@
 import json
 import os
 import sys
-import tempfile
-import traceback
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,6 +11,8 @@ import typer
 from refdgs_pipe import __version__, recipe
 from refdgs_pipe.cli import workspace as spaces
 from refdgs_pipe.cli.device import bytes_of
+from refdgs_pipe.cli.logs import keep_traceback
+from refdgs_pipe.cli.mat import mat_command
 from refdgs_pipe.cli.running import Options, make, settings_json, steps_json
 from refdgs_pipe.cli.workspace import Memory, Workspace
 from refdgs_pipe.errors import Cancelled, InputError, RefdgsError
@@ -25,6 +25,7 @@ app = typer.Typer(
 )
 recipes = typer.Typer(help="Look at recipes.", no_args_is_help=True, rich_markup_mode=None)
 app.add_typer(recipes, name="recipe")
+app.command("mat")(mat_command)
 
 Folder = Annotated[Path, typer.Argument(help="the folder that `run` made", metavar="WORKSPACE")]
 RecipeName = Annotated[
@@ -75,6 +76,9 @@ def run_command(
     force: Annotated[
         list[str] | None, typer.Option("--force", help="make this again", metavar="STAGE")
     ] = None,
+    longest: Annotated[
+        float | None, typer.Option("--size", help="the object's longest side in metres")
+    ] = None,
     dry_run: DryRun = False,
     device: Device = "auto",
     vram: Vram = "",
@@ -86,7 +90,8 @@ def run_command(
 ) -> None:
     """Make the asset, and whatever of the way to it is missing."""
     limit = bytes_of(vram)
-    space = _open_for_run(photos, workspace, recipe_name, assignments or [])
+    sized = [] if longest is None else [f"export.longest={longest}"]
+    space = _open_for_run(photos, workspace, recipe_name, [*(assignments or []), *sized])
     again = {space.stage_name(name) for name in force or []}
     if start is not None:
         again |= space.pipeline.following(space.stage_name(start))
@@ -348,22 +353,10 @@ def main() -> None:
     except Exception as error:
         print(
             f"internal error: {type(error).__name__}: {error}\n"
-            f"This is a mistake of ours. Please report it with {_keep_traceback(error)}",
+            f"This is a mistake of ours. Please report it with {keep_traceback(error)}",
             file=sys.stderr,
         )
         sys.exit(RefdgsError.exit_code)
-
-
-def _keep_traceback(error: Exception) -> str:
-    """Where the traceback is: in the run's log, or in a new file."""
-    for note in getattr(error, "__notes__", []):
-        if note.endswith(".jsonl"):
-            return str(note)
-    with tempfile.NamedTemporaryFile(
-        "w", prefix="refdgs-pipe-", suffix=".log", delete=False
-    ) as file:
-        traceback.print_exception(error, file=file)
-    return file.name
 
 
 def _open_for_run(

@@ -2,6 +2,7 @@
 
 import json
 import os
+import tempfile
 import time
 import traceback
 from contextlib import suppress
@@ -58,3 +59,15 @@ class RunLog:
         if self._file is not None:
             with suppress(OSError):
                 self._file.close()
+
+
+def keep_traceback(error: Exception) -> str:
+    """Where an error's traceback is: in the run's log, or in a new file."""
+    for note in getattr(error, "__notes__", []):
+        if note.endswith(".jsonl"):
+            return str(note)
+    with tempfile.NamedTemporaryFile(
+        "w", prefix="refdgs-pipe-", suffix=".log", delete=False
+    ) as file:
+        traceback.print_exception(error, file=file)
+    return file.name

@@ -176,11 +176,18 @@ def _record(
         "workspace": str(workspace.root),
         "asset": str(folders[0]) if folders else None,
         "files": _sizes(folders[0]) if folders else {},
+        "size": _size_said(steps),
         "made": list(made),
         "seconds": round(seconds, 3),
         "warnings": warnings,
         "stages": steps_json(steps, workspace),
     }
+
+
+def _size_said(steps: Sequence[Step]) -> str | None:
+    """How long the asset is and what tells it, as the export says."""
+    exports = [step.manifest for step in steps if step.stage.name == "export" and step.manifest]
+    return next((str(v) for m in exports for n, v, _ in m.measures if n == "size"), None)
 
 
 def _sizes(folder: Path) -> dict[str, int]:
@@ -204,6 +211,8 @@ def _print_summary(
                 print(f"  {name}: {figure(value)} {unit}".rstrip(), file=sys.stderr)
         if record["warnings"]:
             print(f"{len(record['warnings'])} warnings: see above or `status`", file=sys.stderr)
+        if record["size"] is not None:
+            print(f"size {record['size']}", file=sys.stderr)
         took = f"in {duration(record['seconds'])}" if made else "everything was up to date"
         print(f"finished, {took}", file=sys.stderr)
         if record["report"]:

@@ -96,6 +96,14 @@ def scale_of(
     return (1.0, "unknown") if known is None else (known, "known from the capture")
 
 
+def told_size(mesh: UvMesh, metres_per_unit: float, told: str) -> str:
+    """The longest side of the object's box in metres, and what tells it, in words."""
+    longest = metres_per_unit * float(np.ptp(mesh.vertices, axis=0).max())
+    if told == "unknown":
+        return f"unknown: exported {longest:.3g} m long. Give --size METRES, or use a mat"
+    return f"{longest:.4g} m, {told}"
+
+
 def jpeg(pixels: U8) -> bytes:
     """A colour picture (H, W, 3) as JPEG, without chroma subsampling."""
     options = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]

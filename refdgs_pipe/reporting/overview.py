@@ -87,6 +87,7 @@ def tiles(facts: Facts) -> Html:
     add("surfels", SurfelField, "surfels")
     add("triangles", Asset, "faces")
     add("texture", TexturedMesh, "texture size")
+    add("longest side", Asset, "size")
     if (result := facts.result(Asset)) and result.manifest:
         files = result.manifest.files
         for name in ("asset.glb", "asset.usdz"):

@@ -2,6 +2,7 @@
 
 import re
 import zlib
+from functools import cache
 from itertools import combinations
 
 import cv2
@@ -13,6 +14,12 @@ from refdgs_pipe.mat.drawing import pdf, picture
 from refdgs_pipe.mat.layout import LINE_MM, Paper, mat_of
 
 PAPERS: tuple[Paper, ...] = ("a4", "letter")
+
+
+@cache
+def printed(paper: Paper) -> bytes:
+    """The PDF; it takes a while to draw."""
+    return pdf(mat_of(paper))
 
 
 @pytest.mark.parametrize("paper", PAPERS)
@@ -74,13 +81,13 @@ def test_the_picture_shows_the_markers_where_the_layout_says(paper: Paper) -> No
 def test_equal_mats_are_drawn_alike() -> None:
     first, second = leaves(mat_of("a4")), leaves(mat_of("a4"))
     assert all(np.array_equal(a.outline, b.outline) for a, b in zip(first, second, strict=True))
-    assert pdf(mat_of("a4")) == pdf(mat_of("a4"))
+    assert pdf(mat_of("a4")) == printed("a4")
 
 
 @pytest.mark.parametrize("paper", PAPERS)
 def test_the_pdf_is_one_page_of_the_papers_size_with_every_marker(paper: Paper) -> None:
     mat = mat_of(paper)
-    data = pdf(mat)
+    data = printed(paper)
     width, height = map(float, re.search(rb"MediaBox \[0 0 (\S+) (\S+)\]", data).groups())  # type: ignore[union-attr]
     assert np.allclose(np.array([width, height]) / 72 * 25.4, [mat.width, mat.height], atol=1e-3)
     page = zlib.decompress(data.partition(b"stream\n")[2].partition(b"\nendstream")[0]).decode()
@@ -94,7 +101,7 @@ def test_the_pdf_is_one_page_of_the_papers_size_with_every_marker(paper: Paper) 
 
 
 def test_the_pdf_points_to_its_own_objects() -> None:
-    data = pdf(mat_of("a4"))
+    data = printed("a4")
     start = int(data.split(b"startxref\n")[1].split()[0])
     assert data[start : start + 4] == b"xref"
     places = [int(line[:10]) for line in data[start:].splitlines()[3:8]]

@@ -53,13 +53,13 @@ def checked(frame: MatFrame | Refused | None, *, size: float, up: float) -> MatF
 
 def test_drawn_photos_give_size_and_up() -> None:
     sightings = []
-    for i, pose in enumerate([*ring(3, 35), *ring(2, 60, start=0.5)]):
-        shot = photo(pose, k1=-0.05, seed=i)
+    for i, pose in enumerate([*ring(2, 35), *ring(2, 60, start=0.5)]):
+        shot = photo(pose, seed=i)
         seen = seen_in(shot.grey)
         assert seen is not None
         sightings.append(sighting(f"{i}.png", shot, seen))
     frame = checked(mat_frame(sightings), size=0.001, up=0.05)
-    assert frame.residual_mm < 0.15 and frame.corners > 80 and frame.elsewhere == ()
+    assert frame.residual_mm < 0.15 and frame.corners > 70 and frame.elsewhere == ()
 
 
 def test_noise_averages_out() -> None:

@@ -87,7 +87,8 @@ def test_what_the_user_should_know_is_said(run: Run, monkeypatch: pytest.MonkeyP
     run("export", textured, looks, FIELD, model, photos(run), preview=64)
     (seen,) = run.warnings()
     assert "was seen by no camera" in seen
-    assert "export.longest" in run.measured("export")["scale"]
+    size = run.measured("export")["size"]
+    assert "unknown: exported 2" in size and "--size" in size
 
 
 def test_the_table_is_kept_or_not_as_asked(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
