@@ -13,7 +13,7 @@ from scenes import orbit
 from refdgs_pipe.artifacts.appearance import Appearance
 from refdgs_pipe.artifacts.asset import Asset
 from refdgs_pipe.artifacts.mesh import Mesh, RawMesh
-from refdgs_pipe.artifacts.placement import Placement
+from refdgs_pipe.artifacts.placement import Attempt, Evidence, Placement, Poses
 from refdgs_pipe.artifacts.scores import Scores, ViewScore
 from refdgs_pipe.artifacts.sparse_model import Ball, Lost, SparseModel
 from refdgs_pipe.artifacts.surfel_field import ShaderModel, SurfelField, SurfelSet
@@ -115,12 +115,52 @@ def asset(folder: Path) -> Asset:
     return Asset.of(folder, faces=len(made.faces), texture_size=64)
 
 
-def steps(store: Store, *, until: str = "evaluate", warning: str = "") -> list[Step]:
+def half_placed() -> Placement:
+    """Five of six photos placed, two of them where their matches contradict it."""
+    names = [f"{camera.name}.png" for camera in CAMERAS]
+    points = np.random.default_rng(3).normal(size=(60, 3)) * 0.3 + [0, 0, 1]
+    pairs = np.array([(a, b) for a in range(6) for b in range(a + 1, 6)], np.int32)
+    known, good = (pairs < 5).all(1), (pairs < 3).all(1)
+    counts = np.full(len(pairs), 100, np.int32)
+    evidence = Evidence(
+        names=tuple(names),
+        features=np.full(6, 500, np.int32),
+        still=np.zeros(6),
+        pairs=pairs,
+        matches=counts,
+        inliers=np.where(known, counts, 3).astype(np.int32),
+        agree=np.where(known, np.where(good, 1.0, 0.1), np.nan),
+        shared=np.where(known, 60, 0).astype(np.int32),
+        held=np.zeros(len(pairs), np.bool_),
+        angle=np.where(known, 20.0, np.nan),
+    )
+    poses = Poses(
+        cam_from_world={n: c.cam_from_world for n, c in zip(names[:5], CAMERAS, strict=False)},
+        lens_of=dict.fromkeys(names[:5], 0),
+        lenses=(("PINHOLE", 48, 48, np.array([60.0, 60.0, 24.0, 24.0])),),
+        points=points,
+        colors=np.zeros((60, 3), np.uint8),
+        tracks={name: np.arange(60) for name in names[:5]},
+        error_px=0.5,
+        mapper="incremental",
+        evidence=evidence,
+    )
+    note = "the background stands still while the object turns"
+    return Placement(poses, (Attempt("features as <set>", 5, 3, 60),), (note,))
+
+
+def steps(
+    store: Store,
+    *,
+    until: str = "evaluate",
+    warning: str = "",
+    placement: Placement | None = None,
+) -> list[Step]:
     """Commit the results of all stages up to `until`, and say how each stage stands."""
     mesh = textured(64)
     makers: dict[str, Callable[[Path], Any]] = {
         "ingest": views,
-        "sfm": lambda folder: Placement(None, known=True),
+        "sfm": lambda folder: placement or Placement(None, known=True),
         "gate": lambda folder: model(),
         "train": lambda folder: field(),
         "extract": lambda folder: RawMesh(mesh.mesh.vertices, mesh.mesh.faces),

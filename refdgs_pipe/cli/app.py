@@ -10,10 +10,11 @@ import typer
 
 from refdgs_pipe import __version__, recipe
 from refdgs_pipe.cli import workspace as spaces
+from refdgs_pipe.cli.check import check_command
 from refdgs_pipe.cli.device import bytes_of
 from refdgs_pipe.cli.logs import keep_traceback
 from refdgs_pipe.cli.mat import mat_command
-from refdgs_pipe.cli.running import Options, make, settings_json, steps_json
+from refdgs_pipe.cli.running import Options, make, print_plan, steps_json
 from refdgs_pipe.cli.workspace import Memory, Workspace
 from refdgs_pipe.errors import Cancelled, InputError, RefdgsError
 from refdgs_pipe.wording import duration, size
@@ -98,11 +99,14 @@ def run_command(
     until = space.stage_name(until) if until else None
     again &= {stage.name for stage in space.pipeline.needed_for(until)}
     if dry_run:
-        _print_plan(space, until, again, as_json)
+        print_plan(space, until, again, as_json=as_json)
         return
     verbosity = 0 if quiet else 2 if verbose else 1
     options = Options(until, frozenset(again), device, threads, as_json, strict, verbosity, limit)
     raise typer.Exit(make(space, options))
+
+
+app.command("check")(check_command)
 
 
 @app.command("rerun")
@@ -372,17 +376,6 @@ def _open_for_run(
     space = spaces.open_workspace(root or spaces.default_root(photos), memory)
     space.source.files()  # a missing or empty folder is said before a workspace is made
     return space
-
-
-def _print_plan(space: Workspace, until: str | None, again: set[str], as_json: bool) -> None:
-    wanted = space.pipeline.needed_for(until)
-    steps = [step for step in space.status() if step.stage in wanted]
-    if as_json:
-        _print_json({"settings": settings_json(space), "stages": steps_json(steps, space)})
-        return
-    for step in steps:
-        asked = step.stage.name in again and step.manifest
-        print(f"{step.stage.name:9} {'asked for again' if asked else step.reason}")
 
 
 def _print_json(record: Any) -> None:

@@ -16,11 +16,12 @@ from refdgs_pipe.cli.signals import Stopper
 from refdgs_pipe.cli.workspace import Workspace, is_workspace
 from refdgs_pipe.errors import Cancelled, RefdgsError, WorkspaceBusy, WriteError
 from refdgs_pipe.pipeline.catalog import PUBLISHED
-from refdgs_pipe.pipeline.events import Emit, Event, Finished
+from refdgs_pipe.pipeline.events import Emit, Event, Finished, Started
 from refdgs_pipe.pipeline.plan import Step
 from refdgs_pipe.pipeline.runner import Request, run
 from refdgs_pipe.wording import duration, figure, size
 
+TRAINING = "train"  # the stage that takes long
 DEGRADED = 3  # exit code of --strict when there were warnings
 
 
@@ -109,6 +110,9 @@ def _run_logged(
 
     def listen(event: Event) -> None:
         log(event)
+        if isinstance(event, Started) and event.stage == TRAINING:
+            for line in early_lines(workspace):
+                console.say(line)
         console(event)
         also(event)
         if isinstance(event, Finished):
@@ -139,6 +143,19 @@ def _run_logged(
     return steps, made
 
 
+def print_plan(workspace: Workspace, until: str | None, again: set[str], *, as_json: bool) -> None:
+    """Say what a run would do, and why."""
+    wanted = workspace.pipeline.needed_for(until)
+    steps = [step for step in workspace.status() if step.stage in wanted]
+    if as_json:
+        settings = settings_json(workspace)
+        _print_json({"settings": settings, "stages": steps_json(steps, workspace)})
+        return
+    for step in steps:
+        asked = step.stage.name in again and step.manifest
+        print(f"{step.stage.name:9} {'asked for again' if asked else step.reason}")
+
+
 def settings_json(workspace: Workspace) -> dict[str, Any]:
     """Every setting of every stage."""
     return {name: params.model_dump(mode="json") for name, params in workspace.settings.items()}
@@ -163,6 +180,25 @@ def steps_json(steps: Sequence[Step], workspace: Workspace) -> list[dict[str, An
             }
         records.append(record)
     return records
+
+
+def early_lines(workspace: Workspace) -> list[str]:
+    """What to say of the capture before training begins; nothing where that cannot be read."""
+    from refdgs_pipe.artifacts.placement import Placement
+    from refdgs_pipe.artifacts.sparse_model import SparseModel
+    from refdgs_pipe.artifacts.views import Views
+    from refdgs_pipe.checking import early
+
+    store, found = workspace.pipeline.store, dict[type, Any]()
+    kinds: tuple[type[Any], ...] = (Views, Placement, SparseModel)
+    try:
+        for stage in workspace.pipeline.stages:
+            manifest = store.current(stage.name)
+            if stage.output in kinds and manifest is not None:
+                found[stage.output] = stage.output.load(store.folder(manifest.origin))
+        return early.early_lines(*(found[kind] for kind in kinds))
+    except (RefdgsError, OSError, KeyError, ValueError):
+        return []
 
 
 def _record(

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from refdgs_pipe import __version__
 from refdgs_pipe.artifacts.asset import Asset
+from refdgs_pipe.artifacts.placement import Placement
 from refdgs_pipe.artifacts.scores import Scores
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.surfel_field import SurfelField
@@ -21,7 +22,7 @@ from refdgs_pipe.reporting.facts import Drawing, Facts, readable
 from refdgs_pipe.reporting.html import Html, joined, tag
 
 NAME = "report.html"
-_LAYOUT = 5  # raised when the page changes, so that older ones are made again
+_LAYOUT = 6  # raised when the page changes, so that older ones are made again
 _POLICY = (  # the browser itself keeps the page from fetching anything
     "default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval' blob:; "
     "style-src 'unsafe-inline'; img-src data: blob:; connect-src data: blob:; "
@@ -53,6 +54,7 @@ class Section:
 SECTIONS = (
     Section("model", "The asset", ("asset", "viewer"), (Asset,)),
     Section("photos", "Photos", ("photos", "contact_sheet"), (Views,)),
+    Section("placement", "Placement", ("placement", "placement"), (Views, Placement)),
     Section("cameras", "Cameras", ("photos", "cameras"), (SparseModel,)),
     Section("training", "Training", ("views", "training"), (SurfelField,)),
     Section(
@@ -97,8 +99,22 @@ def page(facts: Facts, drawing: Drawing, problems: list[str], *, key: str = "") 
     """The whole page. What fails is noted in `problems` and on the page."""
     bodies = [_section(part, facts, drawing, problems) for part in SECTIONS]
     links = [tag("a", part.title, href=f"#{part.name}") for part in SECTIONS]
+    body = joined(
+        tag("header", tag("h1", facts.title), overview.head(facts), overview.tiles(facts)),
+        tag("nav", *links),
+        tag("main", *bodies),
+        tag("footer", f"refdgs-pipe {__version__}, recipe {facts.recipe}"),
+    )
+    return document(f"{facts.title} - refdgs-pipe report", body, key=key)
+
+
+def document(title: str, body: Html, *, key: str = "") -> Html:
+    """A page of its own around this body, with our style and script; it fetches nothing.
+
+    Args:
+        key: tells whether a page that is there says the same.
+    """
     assets = files("refdgs_pipe.reporting").joinpath("assets")
-    title = f"{facts.title} - refdgs-pipe report"
     top = joined(
         tag("meta", charset="utf-8"),
         tag("meta", http_equiv="Content-Security-Policy", content=_POLICY),
@@ -109,16 +125,9 @@ def page(facts: Facts, drawing: Drawing, problems: list[str], *, key: str = "") 
         tag("title", title),
         tag("style", Html(assets.joinpath("report.css").read_text("utf-8"))),
     )
-    body = joined(
-        tag("header", tag("h1", facts.title), overview.head(facts), overview.tiles(facts)),
-        tag("nav", *links),
-        tag("main", *bodies),
-        tag("footer", f"refdgs-pipe {__version__}, recipe {facts.recipe}"),
-        tag("script", Html(assets.joinpath("report.js").read_text("utf-8"))),
-    )
-    return Html(
-        f'<!DOCTYPE html>\n<html lang="en"><head>{top}</head>\n<body>{body}</body></html>\n'
-    )
+    script = tag("script", Html(assets.joinpath("report.js").read_text("utf-8")))
+    whole = tag("body", body, script)
+    return Html(f'<!DOCTYPE html>\n<html lang="en"><head>{top}</head>\n{whole}</html>\n')
 
 
 def _section(part: Section, facts: Facts, drawing: Drawing, problems: list[str]) -> Html:

@@ -1,5 +1,6 @@
 """The photos: a contact sheet with what is wrong with each, and where they were taken."""
 
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
@@ -16,6 +17,7 @@ from refdgs_pipe.reporting import plots
 from refdgs_pipe.reporting.facts import Drawing, Facts
 from refdgs_pipe.reporting.html import Html, figure, image, joined, tag
 from refdgs_pipe.reporting.pictures import thumbnail, webp
+from refdgs_pipe.reporting.placement import lost_photos
 from refdgs_pipe.wording import counted
 
 _SIDE = 168  # px, the longer side of a thumbnail
@@ -27,8 +29,15 @@ _POINTS = 500  # sparse points in a plot
 def contact_sheet(facts: Facts, _: Drawing) -> Html:
     """Every photo, those with a fault first, and the files that were left out."""
     views = facts.load(Views)
-    model = facts.load(SparseModel) if facts.result(SparseModel) else None
-    faults = photo_faults(views, model)
+    return sheet(views, photo_faults(views, lost_photos(facts)))
+
+
+def sheet(views: Views, faults: dict[str, dict[str, str]]) -> Html:
+    """Every photo, those with a fault first, and the files that were left out.
+
+    Args:
+        faults: as `photo_faults` gives them.
+    """
     order = sorted(views.items, key=lambda view: view.name not in faults)
     shown = order[: max(_MOST, len(faults))]
     with ThreadPoolExecutor(4) as pool:
@@ -49,13 +58,17 @@ def contact_sheet(facts: Facts, _: Drawing) -> Html:
     return joined(*parts)
 
 
-def photo_faults(views: Views, model: SparseModel | None) -> dict[str, dict[str, str]]:
-    """Name of a view -> {"lost" or "blurred": the reason}, for views with a fault."""
+def photo_faults(views: Views, lost: Mapping[str, str]) -> dict[str, dict[str, str]]:
+    """Name of a view -> {"lost" or "blurred": the reason}, for views with a fault.
+
+    Args:
+        lost: name of a view -> why it has no place.
+    """
     faults: dict[str, dict[str, str]] = {}
     for index in blurred([view.sharpness for view in views.items]) if views.items else []:
         faults.setdefault(views.items[index].name, {})["blurred"] = "far less sharp than the others"
-    for lost in model.lost if model else ():
-        faults.setdefault(lost.name, {})["lost"] = lost.reason
+    for name, reason in lost.items():
+        faults.setdefault(name, {})["lost"] = reason
     return faults
 
 
@@ -110,7 +123,11 @@ def _grid(cards: list[Html]) -> Html:
 
 def cameras(facts: Facts, _: Drawing) -> Html:
     """Where the photos were taken, from above and from the front, in the frame of the asset."""
-    model = facts.load(SparseModel)
+    return camera_plans(facts.load(SparseModel))
+
+
+def camera_plans(model: SparseModel) -> Html:
+    """Where the photos of a model were taken, from above and from the front."""
     turn = y_up_from_z_up(model.up)
     center = turn @ model.ball.center
     points = model.points

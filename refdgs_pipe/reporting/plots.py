@@ -103,6 +103,49 @@ def plan(
     return _svg((size, size), *parts, label=label)
 
 
+def directions(
+    photos: Sequence[tuple[str, float, float]], gap: tuple[float, float], *, label: str
+) -> Html:
+    """Photos round an object: azimuth to the right, height upwards, the widest gap shaded.
+
+    Args:
+        photos: name, azimuth from -180 to 180, height from -90 to 90, degrees.
+        gap: azimuths where it begins and ends, the end above the beginning.
+    """
+    lowest = min([height for _, _, height in photos] + [0.0])
+    highest = max([height for _, _, height in photos] + [60.0])
+    low = max(30 * math.floor(lowest / 30 - 0.1), -90)
+    high = min(30 * math.ceil(highest / 30 + 0.1), 90)
+
+    def place(azimuth: float, height: float) -> tuple[float, float]:
+        return (
+            _LEFT + (_WIDTH - _LEFT - _RIGHT) * (azimuth + 180) / 360,
+            _TOP + (_HEIGHT - _TOP - _BOTTOM) * (high - height) / (high - low),
+        )
+
+    parts = []
+    pieces = [(gap[0], min(gap[1], 180.0)), (-180.0, gap[1] - 360.0)]
+    for start, end in pieces:
+        if end > start:
+            (left, top), (right, bottom) = place(start, high), place(end, low)
+            size = {"width": right - left, "height": bottom - top}
+            parts.append(tag("rect", x=left, y=top, class_="gap", **size))
+    for level in range(low, high + 1, 30):
+        _, y = place(0, level)
+        parts.append(tag("line", x1=_LEFT, x2=_WIDTH - _RIGHT, y1=y, y2=y, class_="grid"))
+        parts.append(tag("text", f"{level}°", x=_LEFT - 6, y=y + 4, text_anchor="end"))
+    for turn in range(-180, 181, 60):
+        x, _ = place(turn, low)
+        anchor = "end" if turn == 180 else "middle"
+        parts.append(tag("line", x1=x, x2=x, y1=_TOP, y2=_HEIGHT - _BOTTOM, class_="grid"))
+        parts.append(tag("text", f"{turn}°", x=x, y=_HEIGHT - 8, text_anchor=anchor))
+    for name, azimuth, height in photos:
+        x, y = place(azimuth, height)
+        dot = tag("circle", cx=x, cy=y, r=4)
+        parts.append(tag("g", tag("title", name), dot, class_="camera train"))
+    return _svg((_WIDTH, _HEIGHT), *parts, label=label)
+
+
 def bars(rows: Sequence[tuple[str, float, str, str]]) -> Html:
     """Horizontal bars: (name, length, words behind it, class of the style sheet)."""
     longest = max((length for _, length, _, _ in rows), default=0) or 1.0
