@@ -21,7 +21,7 @@ from refdgs_pipe.sfm.poses import Effort, OnProgress, Shots
 from refdgs_pipe.sfm.still import Features, Still, find_still
 from refdgs_pipe.sfm.trust import standing
 
-GLOBAL_BELOW = 0.9  # share trusted under which the global mapper is tried too
+GOOD = 0.9  # share trusted under which a lenient mapper and the global one are tried too
 CREDIBLE = 0.8  # of the trusted photos: a solution with fewer is no evidence against the other
 LEAST_MATCHES = 15  # of a pair that is verified again, as COLMAP's own limit
 
@@ -62,7 +62,10 @@ def reconstruct(
         base.match_pairs(database, pairs, effort, progress)
         again = _best(database, images, scratch / "again", progress, still)
         best = max(best, again, key=standing)
-    if standing(best)[0] < GLOBAL_BELOW * len(files):
+    if standing(best)[0] < GOOD * len(files):
+        few = _best(database, images, scratch / "few", progress, still, lenient=True)
+        best = max(best, few, key=standing)
+    if standing(best)[0] < GOOD * len(files):
         progress("solving all poses at once", 0, None)
         model = mapping.all_at_once(database, images, scratch / "global")
         if model is not None:
@@ -87,7 +90,7 @@ def _best(database: Path, images: Path, folder: Path, progress: OnProgress, stil
     part = folder / "database.db"
     shutil.copyfile(database, part)
     known = Known(still.share, hold_out(part))
-    models = mapping.incremental(part, images, folder, placed)
+    models = mapping.incremental(part, images, folder, placed, lenient=lenient)
     found = [
         poses_of(mapping.refined(model), "incremental", database, known)
         for model in models

@@ -12,18 +12,28 @@ from refdgs_pipe.sfm.database import SEED
 
 FOCALS = (0.35, 10.0)  # focal lengths that a camera may have, by the long side
 MOST_DISTORTION = 0.7  # of any parameter of a lens
+FIRST_PAIR = (30, 4.0)  # matches and degrees that the first pair needs, where few are shared
+FEWEST = 12  # matches that place a photo there; COLMAP's own: 30
 PHOTOS_FOR_OPENCV = 16  # with fewer its eight parameters are not well determined
 BETTER = 0.995  # of the reprojection error: a richer lens has to earn its parameters
 FOCAL_DRIFT = 1.15  # by which the refined focal length may differ
 
 
 def incremental(
-    database: Path, images: Path, folder: Path, placed: Callable[[int], None]
+    database: Path,
+    images: Path,
+    folder: Path,
+    placed: Callable[[int], None],
+    *,
+    lenient: bool = False,
 ) -> list[Any]:
     """All reconstructions of the incremental mapper, best first: most photos, then points.
 
     Args:
         folder: for what it writes; placed: hears how many photos each step placed.
+        lenient: for photos that share few features, as on a turntable whose background is left
+            out: fewer matches place a photo, points that two photos see count, and the lens keeps
+            its distortion, for there is too little to tell it from.
     """
     options = pycolmap.IncrementalPipelineOptions()
     options.num_threads = options.mapper.num_threads = 1
@@ -32,6 +42,12 @@ def incremental(
     options.min_focal_length_ratio, options.max_focal_length_ratio = FOCALS
     options.max_extra_param = MOST_DISTORTION
     options.mapper.random_seed = options.triangulation.random_seed = SEED
+    if lenient:
+        options.mapper.init_min_num_inliers, options.mapper.init_min_tri_angle = FIRST_PAIR
+        options.mapper.abs_pose_min_num_inliers = FEWEST
+        options.triangulation.ignore_two_view_tracks = False
+        options.ba_refine_extra_params = options.mapper.abs_pose_refine_extra_params = False
+        options.mapper.abs_pose_refine_focal_length = False
     found = pycolmap.incremental_mapping(
         database_path=database,
         image_path=images,
