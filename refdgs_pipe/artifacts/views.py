@@ -68,6 +68,8 @@ class View:
         sharpness: variance of the Laplacian at a fixed scale, 8-bit levels squared.
         exposure: mean linear luminance in [0, 1].
         source: the user's file, relative to the capture.
+        placing: a larger 8-bit sRGB PNG of the same photo below `Views.folder`, for structure from
+            motion; None where the image itself serves.
     """
 
     name: str
@@ -81,6 +83,7 @@ class View:
     exposure: float
     known: KnownPose | None
     source: str
+    placing: str | None = None
 
 
 @dataclass(frozen=True)
@@ -111,7 +114,7 @@ class Views:
     """All usable photos of a capture.
 
     Args:
-        folder: holds images/, masks/ and views.json.
+        folder: holds images/, masks/, placing/ and views.json.
         items: sorted as the photos were taken (by name).
         color_space: "srgb" or "linear" (16-bit, from camera RAW).
         background: "photo": nothing is masked; "masked": real photos with masks; "removed": the
@@ -138,6 +141,10 @@ class Views:
     def image_path(self, view: View) -> Path:
         return self.folder / view.file
 
+    def placing_path(self, view: View) -> Path:
+        """The picture that structure from motion reads: `placing`, or the view's own image."""
+        return self.folder / (view.placing or view.file)
+
     def mask_path(self, view: View) -> Path | None:
         return None if view.mask is None else self.folder / view.mask
 
@@ -146,7 +153,7 @@ class Views:
         folder.mkdir(parents=True, exist_ok=True)
         if folder != self.folder:
             for view in self.items:
-                for file in filter(None, (view.file, view.mask)):
+                for file in filter(None, (view.file, view.mask, view.placing)):
                     (folder / file).parent.mkdir(parents=True, exist_ok=True)
                     shutil.copyfile(self.folder / file, folder / file)
         record = {

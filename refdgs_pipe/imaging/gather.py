@@ -68,6 +68,16 @@ def warnings_about(views: Views, *, inverted_masks: bool) -> list[str]:
     return notes
 
 
+def figures_of(views: Views) -> dict[str, int | str]:
+    """What is measured of a set: counts of photos and of skipped ones, colours, background."""
+    return {
+        "photos": len(views.items),
+        "skipped": sum(not file.harmless for file in views.skipped),
+        "colour space": views.color_space,
+        "background": views.background,
+    }
+
+
 def _too_few(items: Sequence[View], skipped: Sequence[Skipped]) -> str:
     photos = "1 usable photo" if len(items) == 1 else f"{len(items)} usable photos"
     advice = "20 to 60 photos from all around the object work well"

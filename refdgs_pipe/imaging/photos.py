@@ -1,7 +1,7 @@
 """From the user's files to views: decoded, upright, masked, at most so large, in one folder."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -39,6 +39,8 @@ class Plan:
 
     Args:
         max_side: longer images are reduced to this, pixels.
+        placing_side: of photos without poses a picture of this long side is written, pixels, too,
+            if theirs is smaller.
         raw: the photos that are camera RAW.
         development: for these.
         linear: whether every photo is RAW, so that the set stays linear.
@@ -46,13 +48,16 @@ class Plan:
     """
 
     max_side: int
+    placing_side: int
     raw: frozenset[Path]
     development: Development | None
     linear: bool
     inverted_masks: bool
 
 
-def plan_set(frames: list[Frame], *, max_side: int) -> tuple[Plan, list[Frame], list[Skipped]]:
+def plan_set(
+    frames: list[Frame], max_side: int, placing_side: int
+) -> tuple[Plan, list[Frame], list[Skipped]]:
     """Look at all files once and decide how to treat them alike.
 
     Returns:
@@ -75,14 +80,26 @@ def plan_set(frames: list[Frame], *, max_side: int) -> tuple[Plan, list[Frame], 
     development = plan_development([(p, read_exif(p)) for p in sorted(raw)]) if raw else None
     inverted = are_inverted(_readable_masks(kept))
     others = any(frame.path not in raw and _has_header(frame.path) for frame in kept)
-    plan = Plan(max_side, raw, development, bool(raw) and not others, inverted)
+    plan = Plan(max_side, placing_side, raw, development, bool(raw) and not others, inverted)
     return plan, kept, skipped
 
 
 def prepare_set(
-    frames: list[Frame], folder: Path, plan: Plan, *, threads: int
-) -> Iterator[View | Skipped]:
-    """Write every photo below `folder`, in order, several at a time; bad ones become Skipped."""
+    frames: list[Frame],
+    folder: Path,
+    plan: Plan,
+    *,
+    threads: int,
+    progress: Callable[[int, int], object],
+) -> list[View | Skipped]:
+    """Write every photo below `folder`, several at a time; bad ones become Skipped.
+
+    Args:
+        progress: is told how many photos are done, of how many; it may raise to stop.
+
+    Returns:
+        What became of each frame, in order.
+    """
 
     def attempt(frame: Frame) -> View | Skipped:
         try:
@@ -90,11 +107,15 @@ def prepare_set(
         except CaptureError as error:
             return Skipped(frame.source, str(error))
 
+    results: list[View | Skipped] = []
     pool = ThreadPoolExecutor(threads)
     try:
-        yield from pool.map(attempt, frames)
+        for result in pool.map(attempt, frames):
+            progress(len(results), len(frames))
+            results.append(result)
     finally:
         pool.shutdown(cancel_futures=True)
+    return results
 
 
 def prepare_photo(frame: Frame, folder: Path, plan: Plan) -> View:
@@ -113,6 +134,7 @@ def prepare_photo(frame: Frame, folder: Path, plan: Plan) -> View:
     stored = (pixels.shape[1], pixels.shape[0])
     is_drawn = frame.mask is not None and frame.mask_kind == "drawn"
     alpha = None if is_drawn else mask
+    placing = _write_placing(frame, pixels[..., :3], folder, plan, alpha=alpha)
     pixels = _reduce(pixels[..., :3], plan.max_side, alpha=alpha)
     height, width = pixels.shape[:2]
     write_png(folder / "images" / f"{frame.name}.png", pixels)
@@ -133,7 +155,24 @@ def prepare_photo(frame: Frame, folder: Path, plan: Plan) -> View:
         exposure=exposure,
         known=_resized_pose(frame.known, stored, (width, height)),
         source=frame.source,
+        placing=placing,
     )
+
+
+def _write_placing(
+    frame: Frame, pixels: Pixels, folder: Path, plan: Plan, *, alpha: U8 | None
+) -> str | None:
+    """Write the larger picture for structure from motion where one is needed; its file."""
+    is_reduced = max(pixels.shape[:2]) > plan.max_side
+    if frame.known is not None or plan.max_side >= plan.placing_side or not is_reduced:
+        return None
+    pixels = _reduce(pixels, plan.placing_side, alpha=alpha)
+    if pixels.dtype == np.uint16:
+        unit = pixels.astype(np.float32) / np.float32(65535)
+        encoded = srgb_from_linear(unit) if plan.linear else unit
+        pixels = (encoded * 255).round().astype(np.uint8)
+    write_png(folder / "placing" / f"{frame.name}.png", pixels)
+    return f"placing/{frame.name}.png"
 
 
 def _read(frame: Frame, exif: Exif, plan: Plan) -> tuple[Pixels, int]:

@@ -1,5 +1,6 @@
 """What becomes of photos, masks and RAW files, and of everything that is none of these."""
 
+import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +11,7 @@ from captures import EXAMPLE, SHARED, Stages, disc, needs_shared, picture, write
 from PIL import Image
 
 from refdgs_pipe.artifacts.capture import Capture
-from refdgs_pipe.artifacts.views import Exif
+from refdgs_pipe.artifacts.views import Exif, Views
 from refdgs_pipe.color import srgb_from_linear
 from refdgs_pipe.errors import CaptureError
 from refdgs_pipe.files.images import read_png
@@ -66,6 +67,48 @@ def test_long_sides_are_limited(stages: Stages, photos: Path) -> None:
     views = stages.ingest(photos, max_side=100)
     assert {(view.width, view.height) for view in views.items} == {(100, 67)}
     assert read_png(views.image_path(views.items[0])).shape == (67, 100, 3)
+
+
+def test_structure_from_motion_gets_larger_pictures_than_a_recipe_asks_for(
+    stages: Stages, photos: Path
+) -> None:
+    for i, path in enumerate(write_photos(photos)):
+        Image.fromarray(picture(height=200 if i else 60, width=300 if i else 90)).save(path)
+    views = stages.ingest(photos, max_side=100, placing_side=150)
+    small, *large = views.items
+    assert small.placing is None and views.placing_path(small) == views.image_path(small)
+    for view in large:
+        assert (view.width, view.height) == (100, 67)
+        placing = read_png(views.placing_path(view))
+        assert placing.shape == (100, 150, 3) and placing.dtype == np.uint8
+    views.save(photos / "elsewhere")
+    assert Views.load(photos / "elsewhere").placing_path(large[0]).is_file()
+
+
+def test_pictures_for_structure_from_motion_are_only_written_where_needed(
+    tmp_path: Path,
+) -> None:
+    for path in write_photos(tmp_path / "photos"):
+        Image.fromarray(picture(height=200, width=300)).save(path)
+    for name, settings in (
+        ("w1", {"max_side": 150, "placing_side": 150}),
+        ("w2", {"max_side": 400, "placing_side": 800}),
+    ):
+        views = Stages(tmp_path / name).ingest(tmp_path / "photos", **settings)
+        assert {view.placing for view in views.items} == {None}
+        assert not (views.folder / "placing").exists()
+
+
+def test_views_written_before_there_were_such_pictures_still_open(
+    stages: Stages, photos: Path
+) -> None:
+    write_photos(photos)
+    views = stages.ingest(photos)
+    record = json.loads((views.folder / "views.json").read_text())
+    for view in record["views"]:
+        del view["placing"]
+    (views.folder / "views.json").write_text(json.dumps(record))
+    assert [view.placing for view in Views.load(views.folder).items] == [None] * 3
 
 
 def test_a_lying_photo_stands_up_and_its_mask_with_it(stages: Stages, photos: Path) -> None:
@@ -311,6 +354,21 @@ def test_raw_is_told_by_content_and_broken_raw_is_skipped(stages: Stages, photos
     assert views.color_space == "linear"
     reasons = {skipped.name: skipped.reason for skipped in views.skipped}
     assert "camera RAW" in reasons["1.jpg"] and "2.tif" in reasons["2.tif"]
+
+
+@needs_shared
+def test_structure_from_motion_gets_eight_bit_srgb_of_raw_photos(tmp_path: Path) -> None:
+    capture = SHARED / "kettle_capture"
+    names = ["IMG_0000", "IMG_0006", "IMG_0013"]
+    sides = {"max_side": 200, "placing_side": 400}
+    raw = Stages(tmp_path / "raw").ingest(*(capture / "dng" / f"{n}.dng" for n in names), **sides)
+    jpeg = Stages(tmp_path / "jpg").ingest(
+        *(capture / "images" / f"{n}.jpg" for n in names), **sides
+    )
+    for a, b in zip(raw.items, jpeg.items, strict=True):
+        developed, taken = read_png(raw.placing_path(a)), read_png(jpeg.placing_path(b))
+        assert developed.dtype == np.uint8 and developed.shape == taken.shape == (300, 400, 3)
+        assert np.abs(developed.astype(float) - taken).mean() < 5
 
 
 @needs_shared
