@@ -33,3 +33,8 @@ def figure(value: float | int | str) -> str:
 def counted(count: int, noun: str) -> str:
     """A number of things: no photos, 1 photo, 2 photos."""
     return f"{count or 'no'} {noun}{'' if count == 1 else 's'}"
+
+
+def printable(text: object) -> str:
+    r"""Text that any terminal, log and JSON takes: bytes that are no UTF-8 become \xff."""
+    return str(text).encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")

@@ -1,6 +1,5 @@
 """Read the user's photos, whatever they are, into one uniform folder."""
 
-from functools import partial
 from typing import Literal
 
 from pydantic import Field
@@ -10,10 +9,7 @@ from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.params import Params
 from refdgs_pipe.pipeline.stage import Job, stage
 
-_PLACING_SIDE = (
-    "structure from motion gets photos of at least this long side, in pixels, "
-    "also where max_side is smaller"
-)
+_PLACING = "structure from motion gets photos at least so long, also above max_side, in pixels"
 
 
 class IngestParams(Params):
@@ -22,7 +18,10 @@ class IngestParams(Params):
     max_side: int = Field(
         1600, ge=64, le=16384, description="longer photos are reduced to this long side, in pixels"
     )
-    placing_side: int = Field(1600, ge=64, le=16384, description=_PLACING_SIDE)
+    placing_side: int = Field(1600, ge=64, le=16384, description=_PLACING)
+    video_frames: int = Field(
+        80, ge=3, le=2000, description="frames taken of a video at most, a count"
+    )
     holdout: int = Field(
         8, ge=0, le=1000, description="hold out every n-th of 16 or more photos, a count; 0: none"
     )
@@ -31,30 +30,28 @@ class IngestParams(Params):
     )
 
 
-@stage(version=4, programs=("opencv-contrib-python-headless", "pillow", "rawpy"))
+@stage(version=4, programs=("opencv-contrib-python-headless", "pillow", "rawpy", "pi-heif"))
 def ingest(capture: Capture, params: IngestParams, job: Job) -> Views:
     """Decode, turn upright, mask and measure every photo."""
     from refdgs_pipe.datasets.readers import read_capture
-    from refdgs_pipe.imaging.gather import figures_of, gather_views, warnings_about
-    from refdgs_pipe.imaging.masks import with_masks
-    from refdgs_pipe.imaging.photos import plan_set, prepare_set
+    from refdgs_pipe.imaging.gather import figures_of, gather_views
+    from refdgs_pipe.imaging.intake import Desk, notes_on, take_in
 
-    layout = capture.layout()
+    layout = capture.opened(job.scratch).layout()
     found = read_capture(layout, params.split)
-    masked = with_masks(found.frames, layout.masks)
-    plan, frames, unread = plan_set(masked, params.max_side, params.placing_side)
-    told = partial(job.progress, "reading photos")
-    results = prepare_set(frames, job.folder, plan, threads=job.threads, progress=told)
+    sizes = (params.max_side, params.placing_side, params.video_frames)
+    desk = Desk(job.folder, job.scratch, *sizes, job.threads, job.stop, job.progress)
+    taken = take_in(found.frames, layout, desk)
     views = gather_views(
-        [*found.skipped, *unread, *results],
-        frames,
+        [*found.skipped, *taken.results],
+        taken.frames,
         folder=job.folder,
-        linear=plan.linear,
+        linear=taken.linear,
         holdout=params.holdout if found.may_hold_out else 0,
         from_first=found.from_first,
         points=found.points,
     )
-    for note in (*found.notes, *warnings_about(views, inverted_masks=plan.inverted_masks)):
+    for note in (*found.notes, *notes_on(taken, views)):
         job.warn(note)
     for name, figure in figures_of(views).items():
         job.measure(name, figure)

@@ -1,7 +1,9 @@
 """The user's photos, wherever they lie and however they are laid out. Read only."""
 
 import json
+import os
 import re
+import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -9,10 +11,16 @@ from typing import Any, Literal
 from refdgs_pipe.artifacts.truth import all_truth_files, photo_truth_files
 from refdgs_pipe.artifacts.views import KnownPose
 from refdgs_pipe.errors import CaptureError, InputError
+from refdgs_pipe.files.archive import check_zip, unpack_zip
+from refdgs_pipe.files.kinds import is_candidate, sniff
+from refdgs_pipe.wording import printable
 
 Kind = Literal["photos", "blender", "nerfstudio", "nero", "colmap"]
 MaskKind = Literal["drawn", "alpha", "depth"]
+WHAT_IS_READ = "JPEG, PNG, TIFF, WebP, HEIC, AVIF, camera RAW and films (MP4, MOV) are read"
 _MODEL_FOLDERS = ("sparse/0", "sparse", "colmap/sparse/0", "")
+_MASK_FOLDERS = ("masks", "mask")
+_NAMES_SHOWN = 4
 
 
 @dataclass(frozen=True)
@@ -46,32 +54,57 @@ class Layout:
         kind: photos, or which sort of data set with known poses.
         root: the folder that relative names start from.
         photos: photo candidates (kinds "photos", "nero" and "colmap"), in natural order.
-        masks: the folder of masks, or None.
+        masks: the folders of masks, also in sub-folders of photos.
         model: files that hold the known poses.
     """
 
     kind: Kind
     root: Path
     photos: tuple[Path, ...] = ()
-    masks: Path | None = None
+    masks: tuple[Path, ...] = ()
     model: tuple[Path, ...] = ()
 
 
 @dataclass(frozen=True)
 class Capture:
-    """A folder of photos, a list of photos, or a data set with known poses."""
+    """A folder of photos, a ZIP of one, a list of photos, or a data set with known poses."""
 
     paths: tuple[Path, ...]
 
+    def opened(self, scratch: Path) -> "Capture":
+        """The capture itself; or, if it is a ZIP, the folder in it, unpacked below `scratch`.
+
+        Raises:
+            CaptureError: the ZIP is damaged, too large, or holds what must not be unpacked.
+            WriteError: the disk has no room for it.
+        """
+        if not self._is_zip():
+            return self
+        folder = scratch / "unpacked"
+        shutil.rmtree(folder, ignore_errors=True)
+        unpack_zip(self.paths[0], folder)
+        inside = [path for path in folder.iterdir() if not path.name.startswith(".")]
+        while len(inside) == 1 and inside[0].is_dir():
+            folder = inside[0]
+            inside = list(folder.iterdir())
+        return Capture((folder,))
+
+    def _is_zip(self) -> bool:
+        return len(self.paths) == 1 and self.paths[0].is_file() and sniff(self.paths[0]) == "zip"
+
     def layout(self) -> Layout:
-        """Find out what was given.
+        """Find out what was given. Of a ZIP, whose layout is known once it is opened, nothing.
 
         Raises:
             CaptureError: a path does not exist, or nothing in it could be a photo.
         """
         for path in self.paths:
             if not path.exists():
-                raise CaptureError(f"{path}: no such file or folder. Give a folder of photos")
+                raise CaptureError(
+                    f"{printable(path)}: no such file or folder. Give a folder of photos"
+                )
+        if self._is_zip():
+            return Layout("photos", self.paths[0])
         if len(self.paths) == 1 and self.paths[0].is_dir():
             return _folder_layout(self.paths[0])
         if len(self.paths) == 1 and self.paths[0].suffix == ".json":
@@ -81,12 +114,16 @@ class Capture:
     def files(self) -> list[tuple[str, Path]]:
         """Every file that reading this capture would open, as (relative name, path), sorted.
 
+        Notes, sidecars and other files beside the photos are not among them. A ZIP is one file.
         The ground truth of a data set is among them: a score must not outlive its truth.
 
         Raises:
             CaptureError: a path does not exist, or nothing in it could be a photo.
         """
         found = self.layout()
+        if self._is_zip():
+            check_zip(self.paths[0])
+            return [(printable(self.paths[0].name), self.paths[0])]
         files = {*found.photos, *found.model}
         if found.kind in ("blender", "nerfstudio"):
             for model in found.model:
@@ -98,14 +135,15 @@ class Capture:
             files |= all_truth_files(found.root, list(files))
         if found.kind == "photos":
             files |= photo_truth_files(found.root)
-        if found.masks is not None:
-            files.update(_visible_files(found.masks))
+        for folder in found.masks:
+            files.update(path for path in _visible_files(folder) if is_candidate(path))
         return sorted((relative_name(found.root, path), path) for path in files)
 
 
 def relative_name(root: Path, path: Path) -> str:
-    """The path below `root` with forward slashes, or the bare name if it is elsewhere."""
-    return path.relative_to(root).as_posix() if path.is_relative_to(root) else path.name
+    """The path below `root` with forward slashes, or the bare name elsewhere; printable."""
+    below = path.relative_to(root).as_posix() if path.is_relative_to(root) else path.name
+    return printable(below)
 
 
 def read_frames(path: Path) -> list[dict[str, object]]:
@@ -198,13 +236,26 @@ def _natural(path: Path) -> list[tuple[int, int, str]]:
     return [(0, int(p), "") if p.isdigit() else (1, 0, p) for p in parts if p]
 
 
-def _visible_files(folder: Path) -> list[Path]:
-    """Regular files below a folder, in natural order, hidden ones and hidden folders left out."""
-    found = [
-        path
-        for path in folder.rglob("*")
-        if path.is_file() and not any(p.startswith(".") for p in path.relative_to(folder).parts)
-    ]
+def _visible_files(folder: Path, *, leave_out: tuple[str, ...] = ()) -> list[Path]:
+    """Regular files below a folder, in natural order.
+
+    Hidden files and folders, our own workspaces and folders called as in `leave_out` are not
+    entered.
+    """
+    found: list[Path] = []
+    for place, folders, names in os.walk(folder):
+        here = Path(place)
+        folders[:] = [
+            name
+            for name in folders
+            if not name.startswith(".")
+            and name != "__MACOSX"
+            and name.lower() not in leave_out
+            and not name.endswith(".refdgs")
+            and not (here / name / "workspace.json").is_file()
+        ]
+        paths = [here / name for name in names if not name.startswith(".")]
+        found += [path for path in paths if path.is_file()]
     return sorted(found, key=_natural)
 
 
@@ -221,18 +272,46 @@ def _folder_layout(root: Path) -> Layout:
     images = next((place for place in places if place.is_dir()), None)
     direct = [p for p in root.iterdir() if p.is_file() and not p.name.startswith(".")]
     model = _colmap_files(root)
-    if images is not None and (model or not any(_may_be_photo(p) for p in direct)):
-        home, among = images, images / "masks"
-        photos = [p for p in _visible_files(images) if among not in p.parents]
+    home = root
+    if images is not None and (model or not any(is_candidate(path) for path in direct)):
+        home = images
     else:
-        home, model = root, ()
-        photos = sorted(direct, key=_natural)
-    masks = next((p for p in (root / "masks", home / "masks") if p.is_dir()), None)
+        model = ()
+    files = _visible_files(home, leave_out=_MASK_FOLDERS)
+    found = tuple(path for path in files if is_candidate(path))
+    masks = _mask_folders(root, home)
     if model:
-        return Layout("colmap", home, tuple(photos), masks, model)
-    if not photos:
-        raise CaptureError(f"{root}: the folder holds no files. Put the photos into it")
-    return Layout("photos", home, tuple(photos), masks)
+        return Layout("colmap", home, found, masks, model)
+    if not found:
+        raise CaptureError(printable(_no_photos(root, files)))
+    return Layout("photos", home, found, masks)
+
+
+def _no_photos(root: Path, files: list[Path]) -> str:
+    """Why a folder without photos is refused."""
+    if not files:
+        return f"{root}: the folder holds no files. Put the photos into it"
+    names = ", ".join(path.name for path in files[:_NAMES_SHOWN])
+    more = f" and {len(files) - _NAMES_SHOWN} more" if len(files) > _NAMES_SHOWN else ""
+    zips = [path.name for path in files if sniff(path) == "zip"]
+    advice = f". Give the ZIP itself: {root / zips[0]}" if zips else ""
+    return (
+        f"{root}: none of the {len(files)} files is a photo ({names}{more}). {WHAT_IS_READ}{advice}"
+    )
+
+
+def _mask_folders(root: Path, home: Path) -> tuple[Path, ...]:
+    """The folders called masks or mask, in any case: in `root`, in `home` and below it."""
+    found = [root / name for name in _folders_in(root) if name.lower() in _MASK_FOLDERS]
+    for place, folders, _ in os.walk(home):
+        here = [name for name in folders if name.lower() in _MASK_FOLDERS]
+        found += [Path(place) / name for name in sorted(here)]
+        folders[:] = [name for name in folders if name not in here and not name.startswith(".")]
+    return tuple(dict.fromkeys(found))
+
+
+def _folders_in(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir() if path.is_dir())
 
 
 def _nero_cameras(root: Path) -> tuple[Path, ...]:
@@ -251,10 +330,16 @@ def _json_layout(path: Path) -> Layout:
 def _list_layout(paths: tuple[Path, ...]) -> Layout:
     folders = [path for path in paths if path.is_dir()]
     if folders:
-        raise CaptureError(f"{folders[0]} is a folder among files: give one folder, or only files")
+        name = printable(folders[0])
+        raise CaptureError(f"{name} is a folder among files: give one folder, or only files")
+    for path in paths:
+        if sniff(path) == "zip":
+            name = printable(path)
+            raise CaptureError(f"{name} is a ZIP among files: give one ZIP, or only photos")
     parents = {path.parent for path in paths}
     root = paths[0].parent
-    masks = root / "masks" if len(parents) == 1 and (root / "masks").is_dir() else None
+    names = _folders_in(root) if len(parents) == 1 else []
+    masks = tuple(root / name for name in names if name.lower() in _MASK_FOLDERS)
     return Layout("photos", root, tuple(sorted(paths, key=_natural)), masks)
 
 
@@ -267,7 +352,3 @@ def _colmap_files(root: Path) -> tuple[Path, ...]:
             if all(file.is_file() for file in files):
                 return files
     return ()
-
-
-def _may_be_photo(path: Path) -> bool:
-    return path.suffix.lower() not in ("", ".txt", ".md", ".json", ".db", ".ply", ".log", ".xml")

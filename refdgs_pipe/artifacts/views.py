@@ -17,7 +17,14 @@ Background = Literal["photo", "removed", "masked"]
 
 @dataclass(frozen=True)
 class Exif:
-    """What the camera wrote about a photo; None where it did not say."""
+    """What the camera wrote about a photo; None where it did not say.
+
+    Args:
+        sensor_width_mm: of the long side; None, too, if the file contradicts it.
+        exif_width, exif_height: pixels of the photo as the camera took it.
+        flash: whether it fired.
+        is_whole: false for a photo that was cropped after it was taken.
+    """
 
     make: str | None = None
     model: str | None = None
@@ -29,6 +36,10 @@ class Exif:
     exposure_s: float | None = None
     aperture: float | None = None
     iso: float | None = None
+    exif_width: int | None = None
+    exif_height: int | None = None
+    flash: bool | None = None
+    is_whole: bool = True
 
     @property
     def focal_fraction(self) -> float | None:
@@ -37,6 +48,8 @@ class Exif:
         The sensor's size is preferred to the 35 mm equivalent, which is rounded and may be meant
         by the diagonal; a resized file often keeps a stale resolution, which then disagrees.
         """
+        if not self.is_whole:
+            return None
         by_film = self.focal_35mm / 36.0 if self.focal_35mm else None
         by_sensor = None
         if self.focal_mm and self.sensor_width_mm:
@@ -88,11 +101,16 @@ class View:
 
 @dataclass(frozen=True)
 class Skipped:
-    """A file that was not used, and why. Nobody misses a `harmless` one: it was no photo."""
+    """A file that was not used, and why. Nobody misses a `harmless` one: it was no photo.
+
+    Args:
+        copy_of: the photo that it shows again, relative to the capture; "" if it is no copy.
+    """
 
     name: str
     reason: str
     harmless: bool = False
+    copy_of: str = ""
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from typing import Any, Self
 
 from refdgs_pipe import recipe
 from refdgs_pipe.errors import CaptureError, InputError
+from refdgs_pipe.files.kinds import sniff
 from refdgs_pipe.params import Params
 from refdgs_pipe.pipeline import catalog
 from refdgs_pipe.pipeline.atomic import disk_errors, write_json
@@ -120,6 +121,8 @@ class Workspace:
 def default_root(photos: Sequence[Path]) -> Path:
     """Where the workspace goes if nothing was said: PHOTOS.refdgs beside the photos."""
     first = absolute(photos[0])
+    if len(photos) == 1 and first.is_file() and sniff(first) in ("zip", "video"):
+        return first.with_suffix(".refdgs")
     if len(photos) > 1 or first.is_file():
         first = first.parent
     return first.with_name(f"{first.name}.refdgs")

@@ -1,8 +1,9 @@
 """Image files <-> arrays. Formats are told by content, never by suffix."""
 
+import threading
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -14,10 +15,16 @@ from numpy.typing import NDArray
 from PIL import Image, ImageCms
 
 from refdgs_pipe.errors import CaptureError, CorruptError
+from refdgs_pipe.files.heif import heif_size, read_heif
+from refdgs_pipe.files.kinds import sniff
+from refdgs_pipe.wording import printable
 
 Pixels = NDArray[np.uint8] | NDArray[np.uint16]
 
 MAX_PIXELS = 300_000_000  # larger headers are refused before anything is decoded
+LARGE = 50_000_000  # pixels: such JPEGs are decoded at a fraction of their size, others alone
+Image.MAX_IMAGE_PIXELS = MAX_PIXELS
+_alone = threading.Lock()
 _PILLOW = {"jpeg": "JPEG", "png": "PNG", "webp": "WEBP", "tiff": "TIFF", "avif": "AVIF"}
 
 
@@ -31,28 +38,6 @@ class Header:
     orientation: int
 
 
-def sniff(path: Path) -> str:
-    """The format by content: jpeg png webp tiff avif heic raw, or "" if it is none of them.
-
-    Most camera RAW files are TIFFs too: "tiff" may still be one.
-    """
-    with path.open("rb") as file:
-        head = file.read(32)
-    kinds = (
-        (head.startswith(b"\xff\xd8\xff"), "jpeg"),
-        (head.startswith(b"\x89PNG\r\n\x1a\n"), "png"),
-        (head[:4] == b"RIFF" and head[8:12] == b"WEBP", "webp"),
-        (head[:4] in (b"II*\0", b"MM\0*"), "tiff"),
-        (head[4:8] == b"ftyp" and head[8:11] in (b"avi",), "avif"),
-        (head[4:8] == b"ftyp" and head[8:11] in (b"hei", b"hev", b"mif", b"msf"), "heic"),
-        (head[4:11] == b"ftypcrx", "raw"),
-        (head[:15] == b"FUJIFILMCCD-RAW", "raw"),
-        (head[:4] in (b"IIRO", b"IIRS", b"MMOR", b"IIU\0", b"FOVb", b"\0MRM"), "raw"),
-        (head[6:14] == b"HEAPCCDR", "raw"),
-    )
-    return next((name for matches, name in kinds if matches), "")
-
-
 def read_header(path: Path) -> Header:
     """Format, size and EXIF orientation, without decoding.
 
@@ -60,26 +45,35 @@ def read_header(path: Path) -> Header:
         CaptureError: not an image, or too large to be a photo.
     """
     kind = sniff(path)
-    if kind not in _PILLOW:
-        raise CaptureError(_why_unknown(path, kind))
+    if kind not in (*_PILLOW, "heic"):
+        raise CaptureError(_named(path, "not a photo"))
     try:
+        if kind == "heic":
+            return _header(path, kind, *heif_size(path), 1)  # libheif turns it
         with _quiet(), _open(path, kind) as image:
             width, height = image.size
             orientation = int(image.getexif().get(0x0112, 1))
             if kind == "tiff":  # Pillow turns TIFFs, and only these, by itself
                 width, height = (int(image.getexif()[tag]) for tag in (0x0100, 0x0101))
     except (OSError, SyntaxError, ValueError, KeyError, Image.DecompressionBombError) as error:
-        raise CaptureError(f"{path.name}: damaged {kind} header ({error})") from None
+        raise CaptureError(_named(path, f"damaged {kind} header ({error})")) from None
+    return _header(path, kind, width, height, orientation)
+
+
+def _header(path: Path, kind: str, width: int, height: int, orientation: int) -> Header:
     if width * height > MAX_PIXELS:
-        raise CaptureError(f"{path.name}: {width} x {height} pixels; at most {MAX_PIXELS} are read")
+        text = f"{width} x {height} pixels; at most {MAX_PIXELS} are read"
+        raise CaptureError(_named(path, text))
     return Header(kind, width, height, orientation if 1 <= orientation <= 8 else 1)
 
 
-def read_photo(path: Path, *, upright: bool = True) -> Pixels:
+def read_photo(path: Path, *, upright: bool = True, side: int | None = None) -> Pixels:
     """Decode a photo strictly.
 
     Args:
         upright: turn the pixels as the EXIF orientation asks.
+        side: pixels that the long side needs; a JPEG of more than 50 megapixels may come smaller
+            than it is, though with at least twice as many. None: as it is.
 
     Returns:
         (H, W, 3 or 4) sRGB-encoded, uint8, or uint16 for a 16-bit PNG or TIFF.
@@ -90,11 +84,19 @@ def read_photo(path: Path, *, upright: bool = True) -> Pixels:
     header = read_header(path)
     data = path.read_bytes()
     if header.format == "jpeg" and data.rfind(b"\xff\xd9") < len(data) // 2:
-        raise CaptureError(f"{path.name}: the JPEG ends early. Copy it again from the card")
+        raise CaptureError(_named(path, "the JPEG ends early. Copy it again from the card"))
+    is_large = header.width * header.height > LARGE
     try:
-        pixels = _decode_16bit(data, header) if _is_16bit(path, data) else _decode(path, header)
+        with _alone if is_large else nullcontext():
+            if header.format == "heic":
+                pixels = _decode_heif(path)
+            elif _is_16bit(path, data):
+                pixels = _decode_16bit(data, header)
+            else:
+                del data
+                pixels = _decode(path, header, side if is_large else None)
     except (OSError, SyntaxError, ValueError, cv2.error) as error:
-        raise CaptureError(f"{path.name}: {error}. Copy it again from the card") from None
+        raise CaptureError(_named(path, f"{error}. Copy it again from the card")) from None
     return orient(pixels, header.orientation) if upright else pixels
 
 
@@ -144,10 +146,8 @@ def _rgb(image: Any) -> Any:
     return image[..., ::-1] if image.shape[2] == 3 else image[..., [2, 1, 0, 3]]
 
 
-def _why_unknown(path: Path, kind: str) -> str:
-    if kind == "heic":
-        return f"{path.name}: HEIC is not read (patent licences). Export it as JPEG"
-    return f"{path.name}: not a photo"
+def _named(path: Path, text: str) -> str:
+    return printable(f"{path.name}: {text}")
 
 
 def _open(source: Any, kind: str) -> Image.Image:
@@ -185,8 +185,20 @@ def _decode_16bit(data: bytes, header: Header) -> Pixels:
     return np.ascontiguousarray(_rgb(image))
 
 
-def _decode(path: Path, header: Header) -> Pixels:
+def _decode_heif(path: Path) -> Pixels:
+    pixels, profile = read_heif(path)
+    if not profile:
+        return pixels
+    mode = "RGBA" if pixels.shape[2] == 4 else "RGB"
+    return np.array(_to_srgb(Image.fromarray(pixels), profile, mode))
+
+
+def _decode(path: Path, header: Header, side: int | None) -> Pixels:
     with _quiet(), _open(path, header.format) as image:
+        if side is not None and header.format == "jpeg":
+            scale = max(header.width, header.height) / (2 * side)
+            if scale >= 2:  # libjpeg halves, quarters or takes an eighth, never below this size
+                image.draft(None, (int(header.width / scale), int(header.height / scale)))
         image.load()
         alpha = "A" in image.getbands() or "transparency" in image.info
         profile = image.info.get("icc_profile")

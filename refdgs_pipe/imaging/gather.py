@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from refdgs_pipe.artifacts.capture import Frame
+from refdgs_pipe.artifacts.capture import WHAT_IS_READ, Frame
 from refdgs_pipe.artifacts.views import Background, ColorSpace, KnownPoints, Skipped, View, Views
 from refdgs_pipe.errors import CaptureError
 from refdgs_pipe.imaging.quality import blurred
@@ -54,15 +54,19 @@ def warnings_about(views: Views, *, inverted_masks: bool) -> list[str]:
     """What the user should know about a set: skipped and blurred photos, odd masks."""
     total = len(views.items) + len(views.skipped)
     notes = []
-    damaged = [s for s in views.skipped if not s.harmless]
+    copies = [f"{s.name} ({s.reason})" for s in views.skipped if s.copy_of]
+    if copies:
+        are = "file is a copy" if len(copies) == 1 else "files are copies"
+        notes.append(f"{len(copies)} {are} of other photos and left out: {listed(copies)}")
+    damaged = [s for s in views.skipped if not (s.harmless or s.copy_of)]
     if damaged:
-        notes.append(f"{len(damaged)} of {total} files skipped: {_listed(_reasons(damaged))}")
+        notes.append(f"{len(damaged)} of {total} files skipped: {listed(_reasons(damaged))}")
     weak = [views.items[i].source for i in blurred([v.sharpness for v in views.items])]
     if weak:
-        notes.append(f"{len(weak)} photos look blurred next to the others: {_listed(weak)}")
+        notes.append(f"{len(weak)} photos look blurred next to the others: {listed(weak)}")
     unmasked = [view.source for view in views.items if view.mask is None]
     if views.background == "masked" and unmasked:
-        notes.append(f"{len(unmasked)} photos have no mask: {_listed(unmasked)}")
+        notes.append(f"{len(unmasked)} photos have no mask: {listed(unmasked)}")
     if inverted_masks:
         notes.append("the masks mark the object in black; they are read the other way round")
     return notes
@@ -84,12 +88,9 @@ def _too_few(items: Sequence[View], skipped: Sequence[Skipped]) -> str:
     if not skipped:
         return f"found {photos}, at least {MIN_PHOTOS} are needed; {advice}"
     if not items and all(s.harmless for s in skipped):
-        names = _listed([s.name for s in skipped])
-        return (
-            f"none of the {len(skipped)} files is a photo ({names}). "
-            "JPEG, PNG, TIFF, WebP and camera RAW are read"
-        )
-    return f"found {photos}, at least {MIN_PHOTOS} are needed. {_listed(_reasons(skipped))}"
+        names = listed([s.name for s in skipped])
+        return f"none of the {len(skipped)} files is a photo ({names}). {WHAT_IS_READ}"
+    return f"found {photos}, at least {MIN_PHOTOS} are needed. {listed(_reasons(skipped))}"
 
 
 def _reasons(skipped: Sequence[Skipped]) -> list[str]:
@@ -99,6 +100,7 @@ def _reasons(skipped: Sequence[Skipped]) -> list[str]:
     ]
 
 
-def _listed(texts: Sequence[str]) -> str:
+def listed(texts: Sequence[str]) -> str:
+    """The first few texts and how many more there are, in one line."""
     more = f"; and {len(texts) - NAMES_SHOWN} more" if len(texts) > NAMES_SHOWN else ""
     return "; ".join(texts[:NAMES_SHOWN]) + more

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from refdgs_pipe.artifacts.capture import Frame
 from refdgs_pipe.errors import CaptureError
 from refdgs_pipe.files.images import Pixels, read_photo
+from refdgs_pipe.files.kinds import is_candidate
+from refdgs_pipe.wording import printable
 
 U8 = NDArray[np.uint8]
 
@@ -18,25 +20,38 @@ NERO_DEPTH = 15.0  # world units at the white of a depth map
 NERO_BACKGROUND = 14.5  # world units; from here on there is no object
 
 
-def with_masks(frames: list[Frame], folder: Path | None) -> list[Frame]:
-    """The frames with their masks from a folder: NAME.png or NAME.jpg.png, in any case.
+def with_masks(
+    frames: list[Frame], folders: tuple[Path, ...], root: Path
+) -> tuple[list[Frame], list[str]]:
+    """The frames with their masks from folders: NAME.png or NAME.jpg.png, in any case.
 
-    Masks may lie flat or in the sub-folders of the photos. What a frame has already it keeps.
+    Masks may lie flat, in the sub-folders of the photos, or in a folder of masks beside each
+    folder of photos. What a frame has already it keeps.
+
+    Args:
+        root: the folder that the frames' sources start from.
+
+    Returns:
+        The frames, and the names of the masks that belong to none of them.
     """
-    if folder is None:
-        return frames
     found: dict[str, Path] = {}
-    for path in sorted(folder.rglob("*")):
-        if path.is_file() and not path.name.startswith("."):
-            found.setdefault(_stem(path.relative_to(folder).as_posix()), path)
+    files: dict[Path, str] = {}
+    for folder in folders:
+        beside = folder.parent.relative_to(root) if folder.parent.is_relative_to(root) else Path()
+        for path in sorted(folder.rglob("*")):
+            if path.is_file() and not path.name.startswith(".") and is_candidate(path):
+                key = _stem(printable((beside / path.relative_to(folder)).as_posix()))
+                found.setdefault(key, path)
+                files[path] = printable(path.relative_to(folder.parent).as_posix())
     out = []
     for frame in frames:
-        whole, flat = frame.source.lower(), frame.path.name.lower()
+        whole, flat = frame.source.lower(), printable(frame.path.name).lower()
         keys = (whole, _stem(whole), flat, _stem(flat))
         mask = frame.mask or next((found[key] for key in keys if key in found), None)
         kind = frame.mask_kind if frame.mask else "drawn"
         out.append(replace(frame, mask=mask, mask_kind=kind))
-    return out
+    used = {frame.mask for frame in out}
+    return out, [name for path, name in files.items() if path not in used]
 
 
 def _stem(name: str) -> str:

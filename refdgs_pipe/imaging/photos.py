@@ -1,6 +1,5 @@
 """From the user's files to views: decoded, upright, masked, at most so large, in one folder."""
 
-import re
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -14,7 +13,8 @@ from refdgs_pipe.artifacts.views import Exif, KnownPose, Skipped, View
 from refdgs_pipe.camera import Lens
 from refdgs_pipe.color import srgb_from_linear
 from refdgs_pipe.errors import CaptureError
-from refdgs_pipe.files.images import Pixels, orient, read_header, read_photo, sniff, write_png
+from refdgs_pipe.files.images import Pixels, orient, read_header, read_photo, write_png
+from refdgs_pipe.files.kinds import PHOTO_SUFFIX, RAW_SUFFIX, VIDEO_SUFFIX, sniff
 from refdgs_pipe.imaging.masks import (
     U8,
     are_inverted,
@@ -24,13 +24,12 @@ from refdgs_pipe.imaging.masks import (
     read_mask,
     without_matte,
 )
-from refdgs_pipe.imaging.metadata import read_exif
-from refdgs_pipe.imaging.quality import sharpness_and_exposure
+from refdgs_pipe.imaging.metadata import held_against, read_exif
+from refdgs_pipe.imaging.quality import check_picture, sharpness_and_exposure
 from refdgs_pipe.imaging.raw import Development, develop, is_raw, plan_development
+from refdgs_pipe.wording import printable
 
-PHOTO_SUFFIX = re.compile(
-    r"\.(jpe?g|png|tiff?|webp|avif|hei[cf]|dng|cr[23]|nef|arw|raf|orf|rw2|pef|srw|kdc)", re.I
-)
+_CALLED_PHOTO = (PHOTO_SUFFIX, RAW_SUFFIX, VIDEO_SUFFIX)
 
 
 @dataclass(frozen=True)
@@ -74,7 +73,7 @@ def plan_set(
         elif sniff(path):
             skipped.append(Skipped(frame.source, "the same photo is there as camera RAW", True))
         else:
-            called_photo = PHOTO_SUFFIX.fullmatch(path.suffix) is not None
+            called_photo = any(s.fullmatch(path.suffix) for s in _CALLED_PHOTO)
             reason = "empty" if path.stat().st_size == 0 else "damaged or not a photo"
             skipped.append(Skipped(frame.source, reason, not called_photo))
     development = plan_development([(p, read_exif(p)) for p in sorted(raw)]) if raw else None
@@ -105,7 +104,7 @@ def prepare_set(
         try:
             return prepare_photo(frame, folder, plan)
         except CaptureError as error:
-            return Skipped(frame.source, str(error))
+            return Skipped(frame.source, printable(error))
 
     results: list[View | Skipped] = []
     pool = ThreadPoolExecutor(threads)
@@ -128,6 +127,10 @@ def prepare_photo(frame: Frame, folder: Path, plan: Plan) -> View:
     """
     exif = read_exif(frame.path)
     pixels, orientation = _read(frame, exif, plan)
+    if frame.known is None:
+        check_picture(pixels, frame.source, linear=plan.linear)
+        if frame.path not in plan.raw:
+            exif = held_against(exif, *_size(frame.path))
     mask = _mask(frame, pixels, orientation, plan)
     if mask is not None and frame.mask_kind == "alpha" and not _has_alpha(pixels):
         pixels = without_matte(pixels[..., :3], mask)
@@ -184,7 +187,14 @@ def _read(frame: Frame, exif: Exif, plan: Plan) -> tuple[Pixels, int]:
         encoded = srgb_from_linear(linear.astype(np.float32) / np.float32(65535))
         return (encoded * 65535).round().astype(np.uint16), 1
     orientation = read_header(frame.path).orientation if frame.known is None else 1
-    return read_photo(frame.path, upright=frame.known is None), orientation
+    loose = frame.known is None
+    side = max(plan.max_side, plan.placing_side) if loose else None
+    return read_photo(frame.path, upright=loose, side=side), orientation
+
+
+def _size(path: Path) -> tuple[int, int]:
+    header = read_header(path)
+    return header.width, header.height
 
 
 def _mask(frame: Frame, pixels: Pixels, orientation: int, plan: Plan) -> U8 | None:

@@ -4,10 +4,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from refdgs_pipe.color import linear_from_srgb
+from refdgs_pipe.color import linear_from_srgb, srgb_from_linear
+from refdgs_pipe.errors import CaptureError
+from refdgs_pipe.files.images import Pixels
 
 F32 = NDArray[np.float32]
 
+SMALLEST = 64  # px of the long side
 SCALE = 800  # px: sharpness of photos of different sizes compares at this long side
 
 
@@ -25,6 +28,31 @@ def sharpness_and_exposure(rgb: F32) -> tuple[float, float]:
     weights = np.array([0.2126, 0.7152, 0.0722], np.float32)
     luminance = float((linear_from_srgb(small) @ weights).mean())
     return float(cv2.Laplacian(gray, cv2.CV_32F).var()), luminance
+
+
+def check_picture(pixels: Pixels, name: str, *, linear: bool) -> None:
+    """Refuse a picture (H, W, C) that shows nothing.
+
+    Raises:
+        CaptureError: smaller than 64 pixels, all black, all white, or of one colour.
+    """
+    height, width = pixels.shape[:2]
+    if max(height, width) < SMALLEST:
+        raise CaptureError(
+            f"{name}: only {width} x {height} pixels; at least {SMALLEST} on the long side are "
+            "needed. Is it a thumbnail?"
+        )
+    size = (min(width, 256), min(height, 256))
+    small = cv2.resize(pixels[..., :3], size, interpolation=cv2.INTER_AREA)
+    unit = small.astype(np.float32) / np.float32(np.iinfo(pixels.dtype).max)
+    levels = (srgb_from_linear(unit) if linear else unit) * 255
+    low, high = np.percentile(levels, (0.1, 99.9), axis=(0, 1))
+    if high.max() < 4:
+        raise CaptureError(f"{name} is all black: was the lens covered? Leave it out")
+    if low.min() > 251:
+        raise CaptureError(f"{name} is all white: it was exposed too long. Leave it out")
+    if (high - low).max() < 3:
+        raise CaptureError(f"{name} is of one colour: it shows nothing. Leave it out")
 
 
 def blurred(sharpness: list[float]) -> list[int]:

@@ -9,7 +9,10 @@ from numpy.typing import NDArray
 
 from refdgs_pipe.artifacts.views import Exif
 from refdgs_pipe.errors import CaptureError
-from refdgs_pipe.files.images import MAX_PIXELS, sniff
+from refdgs_pipe.files.images import MAX_PIXELS
+from refdgs_pipe.files.kinds import RAW_SUFFIX, sniff
+from refdgs_pipe.files.tiff import is_raw_tiff
+from refdgs_pipe.wording import printable
 
 
 @dataclass(frozen=True)
@@ -26,12 +29,17 @@ class Development:
 
 
 def is_raw(path: Path) -> bool:
-    """Whether LibRaw reads it. Many RAW formats are TIFFs by their first bytes."""
+    """Whether it is camera RAW that LibRaw reads. Many RAW formats are TIFFs by their first bytes.
+
+    A TIFF is RAW if its tags say so, or if a camera's suffix says so, as old makers' tags do not.
+    """
     kind = sniff(path)
     if kind not in ("raw", "tiff"):
         return False
+    if kind == "tiff" and not (is_raw_tiff(path) or RAW_SUFFIX.fullmatch(path.suffix)):
+        return False
     try:
-        with rawpy.imread(str(path)):
+        with path.open("rb") as file, rawpy.imread(file):
             return True
     except rawpy.LibRawError:
         return kind == "raw"
@@ -42,7 +50,7 @@ def plan_development(photos: list[tuple[Path, Exif]]) -> Development:
     balances = []
     for path, _ in photos:
         try:
-            with rawpy.imread(str(path)) as raw:
+            with path.open("rb") as file, rawpy.imread(file) as raw:
                 balance = list(raw.camera_whitebalance)
                 usable = balance[0] > 0 and balance[1] > 0 and balance[2] > 0
                 balances.append(balance if usable else list(raw.daylight_whitebalance))
@@ -65,9 +73,11 @@ def develop(path: Path, exif: Exif, plan: Development) -> NDArray[np.uint16]:
         CaptureError: truncated, damaged, or unreasonably large.
     """
     try:
-        with rawpy.imread(str(path)) as raw:
+        with path.open("rb") as file, rawpy.imread(file) as raw:
             if raw.sizes.width * raw.sizes.height > MAX_PIXELS:
-                raise CaptureError(f"{path.name}: {raw.sizes.width} x {raw.sizes.height} pixels")
+                raise CaptureError(
+                    printable(f"{path.name}: {raw.sizes.width} x {raw.sizes.height} pixels")
+                )
             linear = raw.postprocess(
                 gamma=(1, 1),
                 no_auto_bright=True,
@@ -81,7 +91,8 @@ def develop(path: Path, exif: Exif, plan: Development) -> NDArray[np.uint16]:
     except rawpy.LibRawError as error:
         reason = error.args[0] if error.args else error
         text = reason.decode(errors="replace") if isinstance(reason, bytes) else str(reason)
-        raise CaptureError(f"{path.name}: {text}. Copy it again from the card") from None
+        name = printable(path.name)
+        raise CaptureError(f"{name}: {text}. Copy it again from the card") from None
     own = exposure_of(exif)
     if plan.exposure is None or own is None:
         return np.asarray(linear, np.uint16)

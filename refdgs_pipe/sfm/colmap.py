@@ -77,7 +77,15 @@ def reconstruct(
     return best, _notes(still)
 
 
-def _best(database: Path, images: Path, folder: Path, progress: OnProgress, still: Still) -> Poses:
+def _best(
+    database: Path,
+    images: Path,
+    folder: Path,
+    progress: OnProgress,
+    still: Still,
+    *,
+    lenient: bool = False,
+) -> Poses:
     """The incremental mapper's model with the most trusted photos; some pairs are held out."""
     count = [0]
     total = len(still.share)

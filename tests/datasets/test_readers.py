@@ -14,8 +14,10 @@ from scenes import orbit
 from refdgs_pipe.artifacts.capture import Capture
 from refdgs_pipe.artifacts.photos import load_photo
 from refdgs_pipe.camera import Camera
+from refdgs_pipe.datasets.readers import read_capture
 from refdgs_pipe.errors import CaptureError, CorruptError, InputError
 from refdgs_pipe.files.colmap import ColmapCamera, ColmapImage, ColmapModel, write_model
+from refdgs_pipe.imaging.masks import with_masks
 
 SIZE, FOCAL = 64, 80.0
 
@@ -229,14 +231,16 @@ def test_masks_are_found_and_are_no_photos(root: Path, place: str) -> None:
     write_images(root / place, 3)
     layout = Capture((root,)).layout()
     assert [path.parent.name for path in layout.photos] == ["images"] * 3
-    assert layout.masks == root / place
+    assert layout.masks == (root / place,)
 
 
-def test_masks_among_pictures_that_are_not_taken_are_not_taken(root: Path) -> None:
+def test_masks_of_a_sub_folder_are_not_those_of_the_photos_above(root: Path) -> None:
     write_images(root, 3)
     write_images(root / "images" / "masks", 3)
     layout = Capture((root,)).layout()
-    assert len(layout.photos) == 3 and layout.masks is None
+    assert len(layout.photos) == 3
+    frames, strays = with_masks(read_capture(layout).frames, layout.masks, layout.root)
+    assert [frame.mask for frame in frames] == [None] * 3 and len(strays) == 3
 
 
 def test_a_folder_among_files_is_refused(root: Path) -> None:
