@@ -10,11 +10,6 @@ from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.params import Params
 from refdgs_pipe.pipeline.stage import Job, stage
 
-_PLACING_SIDE = (
-    "structure from motion gets photos of at least this long side, in pixels, "
-    "also where max_side is smaller"
-)
-
 
 class IngestParams(Params):
     """How photos are read."""
@@ -22,19 +17,23 @@ class IngestParams(Params):
     max_side: int = Field(
         1600, ge=64, le=16384, description="longer photos are reduced to this long side, in pixels"
     )
-    placing_side: int = Field(1600, ge=64, le=16384, description=_PLACING_SIDE)
+    placing_side: int = Field(
+        1600, ge=64, le=16384, description="least long side for structure from motion, in pixels"
+    )
     holdout: int = Field(
         8, ge=0, le=1000, description="hold out every n-th of 16 or more photos, a count; 0: none"
     )
     split: Literal["auto", "nero", "every8"] = Field(
         "auto", description="held out: auto, as the data set says, else by holdout; nero; every8"
     )
+    chart: Literal["auto", "off"] = Field("auto", description="correct by a colour chart in sight")
 
 
-@stage(version=4, programs=("opencv-contrib-python-headless", "pillow", "rawpy"))
+@stage(version=5, programs=("opencv-contrib-python-headless", "pillow", "rawpy"))
 def ingest(capture: Capture, params: IngestParams, job: Job) -> Views:
     """Decode, turn upright, mask and measure every photo."""
     from refdgs_pipe.datasets.readers import read_capture
+    from refdgs_pipe.imaging.chart import chart_figures
     from refdgs_pipe.imaging.gather import figures_of, gather_views, warnings_about
     from refdgs_pipe.imaging.masks import with_masks
     from refdgs_pipe.imaging.photos import plan_set, prepare_set
@@ -56,6 +55,6 @@ def ingest(capture: Capture, params: IngestParams, job: Job) -> Views:
     )
     for note in (*found.notes, *warnings_about(views, inverted_masks=plan.inverted_masks)):
         job.warn(note)
-    for name, figure in figures_of(views).items():
+    for name, figure in (figures_of(views) | chart_figures(views, params.chart)).items():
         job.measure(name, figure)
     return views
