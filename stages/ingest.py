@@ -9,8 +9,6 @@ from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.params import Params
 from refdgs_pipe.pipeline.stage import Job, stage
 
-_PLACING = "structure from motion gets photos at least so long, also above max_side, in pixels"
-
 
 class IngestParams(Params):
     """How photos are read."""
@@ -18,7 +16,9 @@ class IngestParams(Params):
     max_side: int = Field(
         1600, ge=64, le=16384, description="longer photos are reduced to this long side, in pixels"
     )
-    placing_side: int = Field(1600, ge=64, le=16384, description=_PLACING)
+    placing_side: int = Field(
+        1600, ge=64, le=16384, description="least long side for structure from motion, in pixels"
+    )
     video_frames: int = Field(
         80, ge=3, le=2000, description="frames taken of a video at most, a count"
     )
@@ -28,12 +28,14 @@ class IngestParams(Params):
     split: Literal["auto", "nero", "every8"] = Field(
         "auto", description="held out: auto, as the data set says, else by holdout; nero; every8"
     )
+    chart: Literal["auto", "off"] = Field("auto", description="correct by a colour chart in sight")
 
 
-@stage(version=4, programs=("opencv-contrib-python-headless", "pillow", "rawpy", "pi-heif"))
+@stage(version=5, programs=("opencv-contrib-python-headless", "pillow", "rawpy", "pi-heif"))
 def ingest(capture: Capture, params: IngestParams, job: Job) -> Views:
     """Decode, turn upright, mask and measure every photo."""
     from refdgs_pipe.datasets.readers import read_capture
+    from refdgs_pipe.imaging.chart import chart_figures
     from refdgs_pipe.imaging.gather import figures_of, gather_views
     from refdgs_pipe.imaging.intake import Desk, notes_on, take_in
 
@@ -53,6 +55,6 @@ def ingest(capture: Capture, params: IngestParams, job: Job) -> Views:
     )
     for note in (*found.notes, *notes_on(taken, views)):
         job.warn(note)
-    for name, figure in figures_of(views).items():
+    for name, figure in (figures_of(views) | chart_figures(views, params.chart)).items():
         job.measure(name, figure)
     return views

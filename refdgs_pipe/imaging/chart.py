@@ -3,10 +3,12 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import cv2
 import numpy as np
 
+from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.color import linear_from_srgb, srgb_from_linear
 from refdgs_pipe.files.images import Pixels, read_png, write_png
 from refdgs_pipe.imaging.color_difference import F64, ciede2000, lab_from_linear
@@ -59,6 +61,29 @@ def fix_by_chart(folder: Path, files: Iterable[str], *, linear: bool) -> ChartFi
         if fix is not None:
             fixes.append(fix)
     return min(fixes, key=lambda fix: fix.after, default=None)
+
+
+def chart_figures(views: Views, chart: Literal["auto", "off"]) -> dict[str, str | int]:
+    """Correct the views' images in place if a photo shows a chart, and say by how much.
+
+    Pictures whose background was removed are left alone.
+
+    Returns:
+        Empty where there is no chart.
+
+    Raises:
+        CorruptError: an image is missing or damaged.
+    """
+    if chart == "off" or views.background == "removed" or views.has_known_poses:
+        return {}
+    files, linear = [view.file for view in views.items], views.color_space == "linear"
+    fix = fix_by_chart(views.folder, files, linear=linear)
+    if fix is None:
+        return {}
+    apply_fix(fix, views.folder, files, linear=linear)
+    source = next(view.source for view in views.items if view.file == fix.photo)
+    words = f"in {source}: colour difference {fix.before:.1f} before, {fix.after:.1f} after"
+    return {"colour chart": words}
 
 
 def patches_in(pixels: Pixels, *, linear: bool) -> F64 | None:

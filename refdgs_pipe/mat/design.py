@@ -114,8 +114,8 @@ def words(mat: Mat) -> list[Word]:
     """What the sheet says to the person who prints it."""
     left, _, y = mat.line
     told = (
-        f"Print at 100 %, not fitted to the page. This line must be {LINE_MM:g} mm long; "
-        "if yours is not, tell refdgs-pipe what you measure."
+        f"Print at 100 %. This line must be {LINE_MM:g} mm long; "
+        "if yours is not, run with --set sfm.mat_line=(its length)."
     )
     size = {"a4": "A4", "letter": "Letter"}[mat.paper]
     return [

@@ -7,6 +7,8 @@ from itertools import groupby
 
 import numpy as np
 
+from refdgs_pipe.artifacts.sparse_model import SparseModel
+from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import F64, Lens
 from refdgs_pipe.errors import InputError
 from refdgs_pipe.sfm.mat_frame import shown, unbent
@@ -83,6 +85,27 @@ def parsed(text: str) -> TwoPoints:
     if len(by_photo) < 2:
         raise InputError(f"distance: {len(by_photo)} photos are marked: {HELP}")
     return TwoPoints({photo: np.array(points) for photo, points in by_photo.items()}, metres)
+
+
+def marked_photos(
+    model: SparseModel, views: Views, sizes: Mapping[str, tuple[int, int]]
+) -> dict[str, Marked]:
+    """The placed photos under the names of the user's files, in the pixels of these files.
+
+    Args:
+        sizes: the user's file -> its width and height, upright; the images of `views` may be
+            smaller. Files that are not in it are left out.
+    """
+    found = {}
+    for camera in model.cameras:
+        source = views[camera.name].source
+        if source in sizes:
+            width, height = sizes[source]
+            lens = model.lenses[camera.name]
+            larger = np.diag([width / camera.width, height / camera.height, 1.0])
+            scaled = Lens(larger @ lens.K, lens.distortion)
+            found[source] = Marked(scaled, camera.cam_from_world, width, height)
+    return found
 
 
 def metres_per_unit(points: TwoPoints, photos: Mapping[str, Marked]) -> float:

@@ -1,16 +1,19 @@
 """The colour chart: found where there is one, corrected for, and never seen where there is none."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
+from refdgs_pipe.artifacts.views import Exif, View, Views
 from refdgs_pipe.color import linear_from_srgb, srgb_from_linear
 from refdgs_pipe.files.images import read_png, write_png
 from refdgs_pipe.imaging.chart import (
     ChartFix,
     apply_fix,
+    chart_figures,
     corrected,
     fitted,
     fix_by_chart,
@@ -130,3 +133,22 @@ def test_the_difference_is_that_of_the_published_pairs() -> None:
 def test_lab_of_white_and_grey() -> None:
     lab = lab_from_linear(np.array([[1.0, 1, 1], [0.18418, 0.18418, 0.18418], [0, 0, 0]]))
     assert np.allclose(lab, [[100, 0, 0], [50, 0, 0], [0, 0, 0]], atol=1e-2)
+
+
+def test_views_are_corrected_unless_told_not_to(tmp_path: Path) -> None:
+    names = ("a", "b")
+    write_png(tmp_path / "images" / "a.png", photographed(chart() @ CAST.T, bits=8, encoded=True))
+    plain = photographed(np.full((40, 50, 3), 0.2) @ CAST.T, bits=8, encoded=True)
+    write_png(tmp_path / "images" / "b.png", plain)
+    items = tuple(
+        View(n, f"images/{n}.png", 0, 0, None, "train", Exif(), 0, 0, None, f"{n}.jpg")
+        for n in names
+    )
+    views = Views(tmp_path, items, "srgb", "photo")
+    assert chart_figures(views, "off") == {}
+    assert chart_figures(replace(views, background="removed"), "auto") == {}
+    assert np.array_equal(read_png(tmp_path / "images" / "b.png"), plain)
+    told = chart_figures(views, "auto")["colour chart"]
+    assert "in a.jpg" in str(told) and "after" in str(told)
+    now = read_png(tmp_path / "images" / "b.png").astype(int)
+    assert np.ptp(now.reshape(-1, 3).mean(axis=0)) < 3 < np.ptp(plain.reshape(-1, 3).mean(axis=0))

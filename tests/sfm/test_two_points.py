@@ -1,14 +1,17 @@
 """Size from two points that the user marked and measured."""
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 from mat_scene import SIZE, projected, ring, unseen
 
-from refdgs_pipe.camera import Lens
+from refdgs_pipe.artifacts.sparse_model import Ball, SparseModel
+from refdgs_pipe.artifacts.views import Exif, View, Views
+from refdgs_pipe.camera import Camera, Lens
 from refdgs_pipe.errors import InputError
-from refdgs_pipe.sfm.two_points import Marked, TwoPoints, metres_per_unit, parsed
+from refdgs_pipe.sfm.two_points import Marked, TwoPoints, marked_photos, metres_per_unit, parsed
 
 TEXT = "a.jpg:812,455 a.jpg:1200.5,460 b.jpg:640,300 b.jpg:1012,310 0.23"
 POINTS = np.array([[-0.05, 0.02, 0.0], [0.06, 0.01, 0.04]])  # metres
@@ -85,3 +88,31 @@ def test_photos_from_one_place_and_strange_names_are_refused() -> None:
     outside = TwoPoints(points.marks | {"c": points.marks["c"] + 900}, 0.2)
     with pytest.raises(InputError, match="outside of it"):
         metres_per_unit(outside, photos)
+
+
+def test_marks_count_the_pixels_of_the_users_files(tmp_path: Path) -> None:
+    """The pipeline's images are smaller than the files; names and sizes are the files' own."""
+    points, photos = marked()
+    cameras, lenses, items = [], {}, []
+    for name, p in photos.items():
+        cameras.append(Camera(name, *SIZE, p.lens.K, p.cam_from_world, "train"))
+        lenses[name] = p.lens
+        image = f"images/{name}.png"
+        items.append(View(name, image, *SIZE, None, "train", Exif(), 0, 0, None, f"day/{name}.jpg"))
+    model = SparseModel(
+        tuple(cameras),
+        lenses,
+        np.zeros((0, 3)),
+        np.zeros((0, 3), np.uint8),
+        {},
+        Ball(np.zeros(3), 1.0),
+        np.array([0, 0, 1.0]),
+        np.eye(4),
+        None,
+        (),
+    )
+    views = Views(tmp_path, tuple(items), "srgb", "photo")
+    sizes = {f"day/{name}.jpg": (4 * SIZE[0], 4 * SIZE[1]) for name in "abc"}
+    large = {f"day/{name}.jpg": 4 * marks for name, marks in points.marks.items()}
+    found = metres_per_unit(TwoPoints(large, points.metres), marked_photos(model, views, sizes))
+    assert found == pytest.approx(UNIT, rel=1e-4)
