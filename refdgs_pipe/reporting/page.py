@@ -21,7 +21,7 @@ from refdgs_pipe.reporting.facts import Drawing, Facts, readable
 from refdgs_pipe.reporting.html import Html, joined, tag
 
 NAME = "report.html"
-_LAYOUT = 5  # raised when the page changes, so that older ones are made again
+_LAYOUT = 6  # raised when the page changes, so that older ones are made again
 _POLICY = (  # the browser itself keeps the page from fetching anything
     "default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval' blob:; "
     "style-src 'unsafe-inline'; img-src data: blob:; connect-src data: blob:; "
@@ -156,7 +156,7 @@ def _key(facts: Facts) -> str:
         for r in facts.results
     ]
     notes = (sorted(facts.notes.made), facts.notes.failure and vars(facts.notes.failure))
-    about = (facts.title, facts.recipe, facts.changed, facts.settings)
+    about = (facts.title, facts.recipe, facts.draft, facts.changed, facts.settings)
     text = json.dumps([_LAYOUT, __version__, results, notes, len(facts.notes.curve), about])
     return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
 
