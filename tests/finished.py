@@ -12,6 +12,7 @@ from scenes import orbit
 
 from refdgs_pipe.artifacts.appearance import Appearance
 from refdgs_pipe.artifacts.asset import Asset
+from refdgs_pipe.artifacts.evidence import Evidence
 from refdgs_pipe.artifacts.mesh import Mesh, RawMesh
 from refdgs_pipe.artifacts.scores import Scores, ViewScore
 from refdgs_pipe.artifacts.sparse_model import Ball, Lost, SparseModel
@@ -114,7 +115,27 @@ def asset(folder: Path) -> Asset:
     return Asset.of(folder, faces=len(made.faces), texture_size=64)
 
 
-def steps(store: Store, *, until: str = "evaluate", warning: str = "") -> list[Step]:
+FINE = Evidence(
+    photos=6,
+    placed=6,
+    psnr=32.0,
+    training_psnr=32.5,
+    asset_psnr=28.0,
+    outline=0.3,
+    depth=0.1,
+    contradicted=0.0,
+    seen=0.95,
+    unseen=0.0,
+)
+
+
+def steps(
+    store: Store,
+    *,
+    until: str = "evaluate",
+    warning: str = "",
+    evidence: Evidence | None = FINE,
+) -> list[Step]:
     """Commit the results of all stages up to `until`, and say how each stage stands."""
     mesh = textured(64)
     makers: dict[str, Callable[[Path], Any]] = {
@@ -127,7 +148,9 @@ def steps(store: Store, *, until: str = "evaluate", warning: str = "") -> list[S
         "unwrap": lambda folder: mesh.mesh,
         "bake": lambda folder: mesh,
         "export": asset,
-        "evaluate": lambda folder: Scores("test", (ViewScore(CAMERAS[2].name, 20.0, 20.1, 0.9),)),
+        "evaluate": lambda folder: Scores(
+            "test", (ViewScore(CAMERAS[2].name, 20.0, 20.1, 0.9),), evidence=evidence
+        ),
     }
     found, is_over = [], False
     for stage in load_stages():

@@ -108,7 +108,7 @@ _ASPECTS = (
     _Aspect(
         "sharpness against unseen photos",
         lambda e: e.psnr,
-        20.0,
+        16.0,
         26.0,
         lambda e: f"{e.psnr:.0f} dB on the object",
         "train longer (the recipe `glossy`, more train.iterations), or take sharper, evenly "
@@ -158,7 +158,7 @@ _ASPECTS = (
         "outlines of the mesh against those of the object",
         lambda e: e.outline,
         4.0,
-        1.2,
+        1.0,
         lambda e: f"{e.outline:.1f} % of its size apart",
         "look at the section Mesh; give masks, more photos, or train longer",
     ),
@@ -173,16 +173,16 @@ _ASPECTS = (
     _Aspect(
         "mesh against the depth that it was made of",
         lambda e: e.depth,
-        1.2,
-        0.3,
+        1.5,
+        0.4,
         lambda e: f"{e.depth:.2f} % of the diagonal apart",
         "take more photos, train longer, or lower extract.voxel",
     ),
     _Aspect(
         "asset, in the light that was found, against photos",
         lambda e: e.asset_psnr,
-        17.0,
-        23.0,
+        13.0,
+        22.0,
         lambda e: f"{e.asset_psnr:.0f} dB on the object, the field itself {e.psnr:.0f} dB",
         "look at the relit pictures in the report; a larger bake.size and longer training help",
     ),
