@@ -1,7 +1,8 @@
 """Recipes: named sets of differences from the defaults that stand in the code.
 
 A recipe is a TOML file. It opens with a comment that says when to use it, may build on another one
-(`extends = "glossy"`), and has a table for each stage that it changes.
+(`extends = "glossy"`), may say that it is for a first look (`draft = true`), and has a table for
+each stage that it changes.
 """
 
 import difflib
@@ -29,12 +30,15 @@ class Recipe:
         about: its opening comment.
         tables: stage -> setting -> value, as TOML has them.
         origins: "stage.setting" -> the file that said so.
+        draft: it is meant for a first look (`draft = true`); one that extends it is so too, unless
+            it says otherwise.
     """
 
     name: str
     about: str
     tables: dict[str, dict[str, Any]]
     origins: dict[str, str]
+    draft: bool = False
 
 
 def names() -> list[str]:
@@ -121,6 +125,9 @@ def _load(name: str, beside: Path, seen: tuple[str, ...]) -> Recipe:
     parent = tables.pop("extends", None)
     if parent is not None and not isinstance(parent, str):
         raise InputError(f"{label}: extends = {parent!r}: expected the name of a recipe")
+    draft = tables.pop("draft", None)
+    if draft is not None and not isinstance(draft, bool):
+        raise InputError(f"{label}: draft = {draft!r}: expected true or false")
     for stage, table in tables.items():
         if not isinstance(table, dict):
             raise InputError(f"{label}: {stage} stands outside a table. Put it under a [stage]")
@@ -130,9 +137,10 @@ def _load(name: str, beside: Path, seen: tuple[str, ...]) -> Recipe:
         folder = Path(name).parent if name.endswith(".toml") else Path()
         base = _load(parent, beside / folder, (*seen, label))
         merged, origins = base.tables, base.origins
+        draft = base.draft if draft is None else draft
     _merge(merged, tables)
     origins |= {f"{stage}.{key}": label for stage, table in tables.items() for key in table}
-    return Recipe(name, _opening_comment(text), merged, origins)
+    return Recipe(name, _opening_comment(text), merged, origins, bool(draft))
 
 
 def _read(name: str, beside: Path) -> tuple[str, str]:

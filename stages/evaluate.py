@@ -27,7 +27,7 @@ class EvaluateParams(Params):
     lpips_digest: str = Field("", max_length=64, description="hash of that file, as eval finds it")
 
 
-@stage(version=5, programs=("open3d-cpu", "scipy"))
+@stage(version=6, programs=("open3d-cpu", "scipy"))
 def evaluate(
     capture: Capture,
     views: Views,

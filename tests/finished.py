@@ -10,6 +10,7 @@ import numpy as np
 from painted import textured
 from scenes import orbit
 
+from refdgs_pipe.artifacts import evidence as judged
 from refdgs_pipe.artifacts.appearance import Appearance
 from refdgs_pipe.artifacts.asset import Asset
 from refdgs_pipe.artifacts.mesh import Mesh, RawMesh
@@ -149,12 +150,27 @@ def half_placed() -> Placement:
     return Placement(poses, (Attempt("features as <set>", 5, 3, 60),), (note,))
 
 
+FINE = judged.Evidence(
+    photos=6,
+    placed=6,
+    psnr=32.0,
+    training_psnr=32.5,
+    asset_psnr=28.0,
+    outline=0.3,
+    depth=0.1,
+    contradicted=0.0,
+    seen=0.95,
+    unseen=0.0,
+)
+
+
 def steps(
     store: Store,
     *,
     until: str = "evaluate",
     warning: str = "",
     placement: Placement | None = None,
+    evidence: judged.Evidence | None = FINE,
 ) -> list[Step]:
     """Commit the results of all stages up to `until`, and say how each stage stands."""
     mesh = textured(64)
@@ -169,7 +185,9 @@ def steps(
         "unwrap": lambda folder: mesh.mesh,
         "bake": lambda folder: mesh,
         "export": asset,
-        "evaluate": lambda folder: Scores("test", (ViewScore(CAMERAS[2].name, 20.0, 20.1, 0.9),)),
+        "evaluate": lambda folder: Scores(
+            "test", (ViewScore(CAMERAS[2].name, 20.0, 20.1, 0.9),), evidence=evidence
+        ),
     }
     found, is_over = [], False
     for stage in load_stages():

@@ -86,10 +86,16 @@ class Oracle:
         if truth.normal is not None and truth.foreground is not None:
             there = truth.foreground
             unit = truth.normal / np.linalg.norm(truth.normal, axis=-1, keepdims=True)
+        depth = np.zeros_like(unit[..., 0]) if truth.depth is None else truth.depth
+        rows, columns = (  # the truth's pixels nearest to those of a smaller camera
+            ((np.arange(n) + 0.5) * m / n).astype(int)
+            for n, m in zip((camera.height, camera.width), there.shape, strict=True)
+        )
+        there, unit, depth = (a[rows][:, columns] for a in (there, unit, depth))
         nothing = np.zeros_like(unit)
         return SurfaceMap(
             camera,
-            depth=nothing[..., 0] if truth.depth is None else truth.depth,
+            depth=depth,
             alpha=there.astype(np.float32),
             normal=np.where(there[..., None], unit, 0).astype(np.float32),
             diffuse=nothing,

@@ -44,6 +44,12 @@ def test_a_recipe_builds_on_another_beside_it_or_on_a_known_one(tmp_path: Path) 
     assert shout(resolve(write(tmp_path, "other", "extends = 'glossy'\n"))) == ShoutParams()
 
 
+def test_a_recipe_that_extends_a_draft_is_one_unless_it_says_otherwise(tmp_path: Path) -> None:
+    texts = ("extends = 'preview'\n", "extends = 'preview'\ndraft = false\n", "draft = true\n", "")
+    drafts = [recipe.load(write(tmp_path, f"r{i}", text)).draft for i, text in enumerate(texts)]
+    assert drafts == [True, False, True, False]
+
+
 @pytest.mark.parametrize(
     ("text", "value"), [("2", 2), (" 3 ", 3), ("'4'", 4)], ids=["number", "spaces", "quoted"]
 )
@@ -60,6 +66,7 @@ def test_words_need_no_quotes_on_the_command_line() -> None:
     [
         ("marks = 3", "marks stands outside a table. Put it under a [stage]"),
         ("[shout\n", "not TOML"),
+        ("draft = 3", "draft = 3: expected true or false"),
         ("extends = 3", "extends = 3: expected the name of a recipe"),
         ("extends = 'mine.toml'", "extends itself"),
         ("extends = 'glosy'", "no recipe is called 'glosy'. Did you mean glossy?"),

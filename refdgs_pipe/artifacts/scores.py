@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Self
 
+from refdgs_pipe.artifacts.evidence import Evidence
 from refdgs_pipe.errors import CorruptError
 
 
@@ -20,6 +21,8 @@ class ViewScore:
         depth_mae: mean absolute difference of depth, world units, where both have a surface.
         alpha_iou: intersection over union of the masks alpha >= 0.5.
         relit_psnr: dB; of the textured mesh in its own environment instead of the field.
+        object_psnr, relit_object_psnr: the same as `psnr` and `relit_psnr`, over the object's
+            pixels alone.
     """
 
     name: str
@@ -32,6 +35,8 @@ class ViewScore:
     depth_mae: float | None = None
     alpha_iou: float | None = None
     relit_psnr: float | None = None
+    object_psnr: float | None = None
+    relit_object_psnr: float | None = None
 
 
 VIEW_FIGURES = tuple(name for name in ViewScore.__dataclass_fields__ if name != "name")
@@ -110,6 +115,7 @@ class Scores:
         surface, materials: None when there is no truth to compare with.
         surfels: part of the field -> how many it has.
         notes: figure -> why it was not computed, or what it leaves out.
+        evidence: what the verdict is made of; None where it was not gathered.
     """
 
     split: str
@@ -118,6 +124,7 @@ class Scores:
     surfels: dict[str, int] = field(default_factory=dict)
     notes: dict[str, str] = field(default_factory=dict)
     materials: MaterialScore | None = None
+    evidence: Evidence | None = None
 
     def mean(self, figure: str) -> float | None:
         """The mean of one of VIEW_FIGURES over the views that have it; None if none has."""
@@ -176,6 +183,7 @@ class Scores:
             "mean": {name: self.mean(name) for name in VIEW_FIGURES},
             "surface": surface,
             "materials": None if self.materials is None else asdict(self.materials),
+            "evidence": None if self.evidence is None else asdict(self.evidence),
             "surfels": self.surfels,
             "notes": self.notes,
             "views": [asdict(view) for view in self.views],
@@ -203,8 +211,10 @@ class Scores:
             if materials is not None:
                 parts = tuple(PartScore(**part) for part in materials["parts"])
                 materials = MaterialScore(**{**materials, "parts": parts})
-            return cls(
-                record["split"], views, surface, record["surfels"], record["notes"], materials
-            )
+            evidence = record["evidence"]
+            if evidence is not None:
+                evidence = Evidence(**evidence)
+            surfels, notes = record["surfels"], record["notes"]
+            return cls(record["split"], views, surface, surfels, notes, materials, evidence)
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             raise CorruptError(f"{folder / 'scores.json'}: {error}") from None

@@ -42,7 +42,7 @@ Threads = Annotated[int, typer.Option("--threads", min=0, help="CPU threads; 0: 
 Vram = Annotated[str, typer.Option("--vram", help="GPU memory to keep within", metavar="8GB")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="only warnings and errors")]
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="every measured figure too")]
-Strict = Annotated[bool, typer.Option("--strict", help="exit with 3 if there were warnings")]
+Strict = Annotated[bool, typer.Option("--strict", help="exit with 3 on warnings or a poor verdict")]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="only say what would be done")]
 
 

@@ -24,6 +24,8 @@ VIEW_ROWS = {
     "depth_mae": ("depth error", "units", 5, "where both have a surface"),
     "alpha_iou": ("alpha IoU", "", 4, ""),
     "relit_psnr": ("PSNR, relit", "dB", 2, "of the textured mesh in its own light"),
+    "object_psnr": ("PSNR, object", "dB", 2, "the object's pixels"),
+    "relit_object_psnr": ("  of it, relit", "dB", 2, "the same of the textured mesh"),
 }
 MATERIAL_ROWS = {
     "base_color_rmse": ("base colour", 4, "linear, scale-invariant RMSE"),

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from refdgs_pipe import recipe
 from refdgs_pipe.cli.device import core_count
+from refdgs_pipe.cli.verdict import is_draft
 from refdgs_pipe.cli.workspace import Workspace
 
 
@@ -25,6 +26,7 @@ def write(space: Workspace, out: Path | None, *, threads: int) -> Path:
         space.status(),
         about={
             "recipe": Path(space.memory.recipe).name,
+            "draft": is_draft(space),
             "changed": space.memory.assignments,
             "settings": {n: p.model_dump(mode="json") for n, p in space.settings.items()},
         },

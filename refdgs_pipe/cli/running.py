@@ -13,8 +13,10 @@ from refdgs_pipe.cli.console import Console
 from refdgs_pipe.cli.device import choose_device, core_count
 from refdgs_pipe.cli.logs import RunLog
 from refdgs_pipe.cli.signals import Stopper
+from refdgs_pipe.cli.verdict import closing_lines, verdict_of
 from refdgs_pipe.cli.workspace import Workspace, is_workspace
 from refdgs_pipe.errors import Cancelled, RefdgsError, WorkspaceBusy, WriteError
+from refdgs_pipe.evaluation.verdict import Verdict
 from refdgs_pipe.pipeline.catalog import PUBLISHED
 from refdgs_pipe.pipeline.events import Emit, Event, Finished, Started
 from refdgs_pipe.pipeline.plan import Step
@@ -22,7 +24,7 @@ from refdgs_pipe.pipeline.runner import Request, run
 from refdgs_pipe.wording import duration, figure, size
 
 TRAINING = "train"  # the stage that takes long
-DEGRADED = 3  # exit code of --strict when there were warnings
+DEGRADED = 3  # exit code of --strict when there were warnings, or the result is poor
 
 
 @dataclass(frozen=True)
@@ -58,12 +60,17 @@ def make(workspace: Workspace, options: Options) -> int:
     if options.verbosity:
         print("report: drawing", file=sys.stderr)
     page = report.write_if_possible(workspace, threads=options.threads)
-    record = _record(workspace, steps, made, seconds) | {"report": page and str(page)}
+    verdict = verdict_of(workspace)
+    record = _record(workspace, steps, made, seconds) | {
+        "report": page and str(page),
+        "verdict": verdict and verdict.record(),
+    }
     if options.json:
         _print_json(record)
     else:
-        _print_summary(record, steps, made, options.verbosity)
-    return DEGRADED if options.strict and record["status"] == "degraded" else 0
+        _print_summary(record, steps, made, options.verbosity, verdict)
+    is_poor = verdict is not None and verdict.word == "poor"
+    return DEGRADED if options.strict and (is_poor or record["status"] == "degraded") else 0
 
 
 def bring_up_to(
@@ -232,7 +239,11 @@ def _sizes(folder: Path) -> dict[str, int]:
 
 
 def _print_summary(
-    record: dict[str, Any], steps: Sequence[Step], made: dict[str, float], verbosity: int
+    record: dict[str, Any],
+    steps: Sequence[Step],
+    made: dict[str, float],
+    verbosity: int,
+    verdict: Verdict | None,
 ) -> None:
     """What came out on stderr; where it is on stdout."""
     if verbosity:
@@ -249,6 +260,8 @@ def _print_summary(
             print(f"{len(record['warnings'])} warnings: see above or `status`", file=sys.stderr)
         if record["size"] is not None:
             print(f"size {record['size']}", file=sys.stderr)
+        for line in closing_lines(verdict) if verdict else ():
+            print(line, file=sys.stderr)
         took = f"in {duration(record['seconds'])}" if made else "everything was up to date"
         print(f"finished, {took}", file=sys.stderr)
         if record["report"]:

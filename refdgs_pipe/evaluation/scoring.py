@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from refdgs_pipe.artifacts.evidence import Evidence
 from refdgs_pipe.artifacts.mesh import TriangleMesh
 from refdgs_pipe.artifacts.photos import Photo, load_photo
 from refdgs_pipe.artifacts.scores import (
@@ -26,6 +27,7 @@ from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.errors import InputError
 from refdgs_pipe.evaluation.alignment import laid, read_true_centers, world_from_truth
+from refdgs_pipe.evaluation.evidence import TRAINING_VIEWS, Witness, over_white
 from refdgs_pipe.evaluation.materials import score_materials
 from refdgs_pipe.evaluation.surface import score_surface
 from refdgs_pipe.evaluation.truth import (
@@ -132,8 +134,9 @@ def score(subject: Subject, drawing: Drawing, protocol: Protocol) -> Scores:
     """
     cameras = list(subject.model.cameras)
     held_out = [camera for camera in cameras if camera.split == "test"]
+    witness = Witness(subject.mesh)
     views = [
-        _score_view(subject, camera, drawing, protocol)
+        _score_view(subject, camera, drawing, protocol, witness)
         for camera in protocol.track(held_out or cameras)
     ]
     surface, why = _score_surface(subject, protocol.longest)
@@ -146,7 +149,32 @@ def score(subject: Subject, drawing: Drawing, protocol: Protocol) -> Scores:
     if why is not None:
         notes["materials"] = why
     split = "test" if held_out else "train"
-    return Scores(split, tuple(views), surface, materials=materials, notes=notes)
+    evidence = _evidence(subject, drawing, protocol, witness)
+    return Scores(split, tuple(views), surface, materials=materials, notes=notes, evidence=evidence)
+
+
+def gathered(subject: Subject, drawing: Drawing, protocol: Protocol) -> Evidence:
+    """The evidence alone, as `score` gathers it.
+
+    Raises:
+        CorruptError: a photo is damaged.
+    """
+    witness = Witness(subject.mesh)
+    cameras = list(subject.model.cameras)
+    for camera in [camera for camera in cameras if camera.split == "test"] or cameras:
+        photo = _photo(subject, camera, protocol.longest)
+        drawn = drawing.picture(photo.camera)
+        asset = None if drawing.relit is None else _over(photo, drawn, drawing.relit)
+        witness.look(photo, drawn, drawing.maps(photo.camera), asset)
+    return _evidence(subject, drawing, protocol, witness)
+
+
+def _evidence(subject: Subject, drawing: Drawing, protocol: Protocol, witness: Witness) -> Evidence:
+    """What the witness says once it has seen some photos of the training too."""
+    is_held_out = any(camera.split == "test" for camera in subject.model.cameras)
+    if is_held_out:
+        _look_at_training(subject, drawing, protocol, witness)
+    return witness.evidence(subject.views, subject.model, subject.textured, held_out=is_held_out)
 
 
 def _surface_notes(surface: SurfaceScore) -> dict[str, str]:
@@ -157,15 +185,33 @@ def _surface_notes(surface: SurfaceScore) -> dict[str, str]:
     return {}
 
 
+def _look_at_training(
+    subject: Subject, drawing: Drawing, protocol: Protocol, witness: Witness
+) -> None:
+    """Show the witness some photos of the training, evenly chosen."""
+    cameras = [camera for camera in subject.model.cameras if camera.split == "train"]
+    for i in np.unique(np.linspace(0, len(cameras) - 1, TRAINING_VIEWS).astype(int)):
+        if not cameras:
+            return
+        photo = _photo(subject, cameras[i], protocol.longest)
+        maps = drawing.maps(photo.camera)
+        witness.look(photo, drawing.picture(photo.camera), maps, trained=True)
+
+
+def _photo(subject: Subject, camera: Camera, longest: int) -> Photo:
+    scale = camera.fitted(longest).width / camera.width
+    return load_photo(subject.views, subject.model, camera, scale=scale)
+
+
 def _score_view(
-    subject: Subject, camera: Camera, drawing: Drawing, protocol: Protocol
+    subject: Subject, camera: Camera, drawing: Drawing, protocol: Protocol, witness: Witness
 ) -> ViewScore:
-    scale = camera.fitted(protocol.longest).width / camera.width
-    photo = load_photo(subject.views, subject.model, camera, scale=scale)
-    image, target = drawing.picture(photo.camera), _over_white(photo)
+    photo = _photo(subject, camera, protocol.longest)
+    drawn, target = drawing.picture(photo.camera), over_white(photo)
+    asset = None if drawing.relit is None else _over(photo, drawn, drawing.relit)
+    object_psnr, asset_psnr = witness.look(photo, drawn, drawing.maps(photo.camera), asset)
     keep = photo.valid[..., None]
-    image, target = np.where(keep, image, 0), np.where(keep, target, 0)
-    relit = None if drawing.relit is None else _relit_psnr(photo, image, drawing.relit)
+    image, target = np.where(keep, drawn, 0), np.where(keep, target, 0)
     similarity = ssim_map(_tensor(image), _tensor(target)).numpy()
     seen, wanted = image[photo.valid], target[photo.valid]
     return ViewScore(
@@ -174,17 +220,18 @@ def _score_view(
         psnr_per_channel=psnr_per_channel(seen, wanted),
         ssim=float(similarity[photo.valid].mean()),
         lpips=None if protocol.lpips is None else protocol.lpips(image, target),
-        relit_psnr=relit,
+        relit_psnr=None if asset is None else psnr(asset[photo.valid], wanted),
+        object_psnr=object_psnr,
+        relit_object_psnr=asset_psnr,
         **_true_figures(subject, camera, drawing, protocol.longest),
     )
 
 
-def _relit_psnr(photo: Photo, image: F32, relit: Callable[[Camera], tuple[F32, F32]]) -> float:
-    """PSNR of the relit asset: over white where the photo is, else over the field's own picture."""
+def _over(photo: Photo, image: F32, relit: Callable[[Camera], tuple[F32, F32]]) -> F32:
+    """The relit asset over white where the photo is, else over the field's own picture."""
     drawn, alpha = relit(photo.camera)
     behind = image if photo.mask is None else np.float32(1)
-    over = drawn * alpha[..., None] + behind * (1 - alpha[..., None])
-    return psnr(over[photo.valid], _over_white(photo)[photo.valid])
+    return np.asarray(drawn * alpha[..., None] + behind * (1 - alpha[..., None]), np.float32)
 
 
 def _score_materials(
@@ -307,20 +354,15 @@ def _notes(views: list[ViewScore], no_truth: str | None, *, lpips: bool) -> dict
             continue
         if figure == "lpips":
             notes[figure] = "no weights given (--lpips-weights)" if not lpips else "no view"
-        elif figure == "relit_psnr":
+        elif figure == "object_psnr":
+            notes[figure] = "the object is not in every view"
+        elif figure in ("relit_psnr", "relit_object_psnr"):
             notes[figure] = "the field has no reflections, so there is no light to draw with"
         elif known:
             notes[figure] = f"{known} of {len(views)} views have a {_SOURCES[figure]}"
         else:
             notes[figure] = no_truth or f"no {_SOURCES[figure]} beside the photos"
     return notes
-
-
-def _over_white(photo: Photo) -> F32:
-    if photo.mask is None:
-        return photo.rgb
-    m = photo.mask[..., None]
-    return np.asarray(photo.rgb * m + (1 - m), np.float32)
 
 
 def _tensor(image: F32) -> torch.Tensor:

@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from refdgs_pipe.artifacts.mesh import UvMesh
 from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
+from refdgs_pipe.evaluation.wholeness import WELL, open_rims
 from refdgs_pipe.export.turntable import INSIDE, LITTLE, MUCH, UNSEEN, render_coverage
 from refdgs_pipe.reporting.asset import product_of
 from refdgs_pipe.reporting.facts import Drawing, Facts
@@ -15,7 +15,6 @@ from refdgs_pipe.wording import counted
 
 U8 = NDArray[np.uint8]
 _FRAMES, _FRAME, _MAP = 4, 300, 512
-_WEAK = 0.5  # confidence
 
 
 def coverage(facts: Facts, _: Drawing) -> Html:
@@ -37,8 +36,8 @@ def coverage(facts: Facts, _: Drawing) -> Html:
     atlas[texels.index, 3] = 1
     rows = [
         ("seen by no camera, filled in from beside it", trust == 0, UNSEEN),
-        ("seen by few, at a slant, or unlike", (trust > 0) & (trust < _WEAK), LITTLE),
-        ("seen well", trust >= _WEAK, MUCH),
+        ("seen by few, at a slant, or unlike", (trust > 0) & (trust < WELL), LITTLE),
+        ("seen well", trust >= WELL, MUCH),
     ]
     shares: list[tuple[Html | str, ...]] = [
         (joined(_swatch(color), f" {name}"), f"{there.mean() if len(there) else 0:.1%}")
@@ -67,25 +66,7 @@ def _swatch(color: NDArray[np.float32]) -> Html:
 
 
 def _holes(textured: TexturedMesh) -> str:
-    rims, length = open_rims(textured.mesh)
-    if not rims:
+    lengths, _ = open_rims(textured.mesh)
+    if not len(lengths):
         return "none"
-    return f"{counted(rims, 'open rim')}, {length:.3g} world units in all"
-
-
-def open_rims(mesh: UvMesh) -> tuple[int, float]:
-    """How many loops of edges have a face on one side only, and their length in world units."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
-    points, same = np.unique(mesh.vertices, axis=0, return_inverse=True)
-    welded = same.reshape(-1)[mesh.faces]
-    edges = np.sort(np.stack([welded, np.roll(welded, -1, axis=1)], -1).reshape(-1, 2), axis=1)
-    unique, counts = np.unique(edges, axis=0, return_counts=True)
-    rim = unique[counts == 1]
-    if not len(rim):
-        return 0, 0.0
-    length = float(np.linalg.norm(points[rim[:, 0]] - points[rim[:, 1]], axis=1).sum())
-    links = coo_matrix((np.ones(len(rim)), rim.T), shape=(len(points),) * 2)
-    _, part = connected_components(links, directed=False)
-    return len(np.unique(part[rim[:, 0]])), length
+    return f"{counted(len(lengths), 'open rim')}, {lengths.sum():.3g} world units in all"

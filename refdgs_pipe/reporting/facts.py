@@ -86,6 +86,7 @@ class Facts:
         recipe: its name, without a path.
         changed: the `stage.key=value` that differ from the recipe.
         settings: stage -> setting -> value.
+        draft: whether the recipe is meant for a first look.
     """
 
     title: str
@@ -95,6 +96,7 @@ class Facts:
     results: tuple[Result, ...]
     notes: Notes
     private: tuple[str, ...] = field(default=(), repr=False)
+    draft: bool = False
 
     def result(self, kind: type[Artifact]) -> Result | None:
         """The result of the stage that makes this kind, or None if it never ran."""
@@ -163,7 +165,7 @@ def collect(
     """The facts of a workspace.
 
     Args:
-        about: `recipe`, `changed` and `settings` of Facts.
+        about: `recipe`, `changed`, `settings` and `draft` of Facts.
         private: folders whose names are taken out of messages.
     """
     results = []

@@ -165,7 +165,7 @@ def _key(facts: Facts) -> str:
         for r in facts.results
     ]
     notes = (sorted(facts.notes.made), facts.notes.failure and vars(facts.notes.failure))
-    about = (facts.title, facts.recipe, facts.changed, facts.settings)
+    about = (facts.title, facts.recipe, facts.draft, facts.changed, facts.settings)
     text = json.dumps([_LAYOUT, __version__, results, notes, len(facts.notes.curve), about])
     return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
 

@@ -21,6 +21,8 @@ _LABELS = {
     "depth_mae": ("depth error", "units", 5),
     "alpha_iou": ("alpha IoU", "", 4),
     "relit_psnr": ("PSNR, relit", "dB", 2),
+    "object_psnr": ("PSNR, object", "dB", 2),
+    "relit_object_psnr": ("PSNR, object, relit", "dB", 2),
 }
 _SURFACE = {
     "paper_chamfer": "Chamfer distance, points seen",

@@ -306,7 +306,7 @@ def test_every_run_ends_with_a_report_of_what_is_there(shell: Shell) -> None:
     page = shell.work / "report.html"
     assert record["report"] == str(page)
     text = page.read_text()
-    assert "<h1>letters</h1>" in text and 'class="verdict good"' in text
+    assert "<h1>letters</h1>" in text and 'class="verdict unjudged"' in text
     assert "Nothing yet: to be made by" in text  # this pipeline has no photos, cameras or meshes
     assert str(shell.root) not in text.partition('id="model"')[0]
     before = page.stat().st_mtime_ns
@@ -322,7 +322,7 @@ def test_a_failed_run_leaves_a_report_that_says_so(shell: Shell) -> None:
     text = (shell.work / "report.html").read_text()
     assert 'class="verdict failed"' in text and "no voice. Set shout.mood" in text
     shell("run", "letters")
-    assert 'class="verdict good"' in (shell.work / "report.html").read_text()
+    assert 'class="verdict unjudged"' in (shell.work / "report.html").read_text()
 
 
 def test_a_report_that_cannot_be_written_is_only_a_warning(shell: Shell) -> None:

@@ -11,8 +11,8 @@ from refdgs_pipe.errors import InputError
 from refdgs_pipe.evaluation.lpips import digest_of
 
 VIEWS = (
-    ViewScore("a", 30.0, 30.5, 0.95, None, 1.0, 3.0, 0.01, 0.99, 27.0),
-    ViewScore("b", 32.0, 32.5, 0.97, None, 2.0, 5.0, 0.03, 0.97, 28.0),
+    ViewScore("a", 30.0, 30.5, 0.95, None, 1.0, 3.0, 0.01, 0.99, 27.0, 26.0, 23.0),
+    ViewScore("b", 32.0, 32.5, 0.97, None, 2.0, 5.0, 0.03, 0.97, 28.0, 27.0, 24.0),
 )
 SURFACE = SurfaceScore(2.0, 0.0062, 0.005, 0.004, 0.006, 0.9, 1.0, 0.003, 0.002)
 PART = PartScore("lid", 900, 0.25, 0.2, 0.06, 0.9, 1.0, 0.85)
@@ -46,6 +46,8 @@ def test_the_table_names_each_figure_its_unit_and_its_protocol() -> None:
         "depth error 0.02000 units where both have a surface",
         "alpha IoU 0.9800",
         "PSNR, relit 27.50 dB of the textured mesh in its own light",
+        "PSNR, object 26.50 dB the object's pixels",
+        "of it, relit 23.50 dB the same of the textured mesh",
         "Chamfer distance 0.00620 units 0.310 % of the diagonal; the paper's: points seen",
         "Chamfer distance 0.00500 units 0.250 % of the diagonal; between the surfaces, where seen",
         "mesh to truth 0.00400 units 0.200 % of the diagonal; accuracy",
@@ -63,7 +65,7 @@ def test_the_table_names_each_figure_its_unit_and_its_protocol() -> None:
         "train took 6 min 12 s",
         "evaluate took 12 s",
     ]
-    remarks = ((1, "over"), (5, "the paper"), (10, "0.310"), (22, "320"))
+    remarks = ((1, "over"), (5, "the paper"), (12, "0.310"), (24, "320"))
     assert len({lines[row].index(words) for row, words in remarks}) == 1
 
 

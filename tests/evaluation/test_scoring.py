@@ -56,7 +56,7 @@ def check_perfect(scores: Scores) -> None:
     assert surface is not None and surface.chamfer is not None
     assert surface.paper_chamfer == 0 and surface.chamfer < 1e-6
     assert surface.f_score_half_percent == surface.f_score_one_percent == 1
-    assert set(scores.notes) == {"lpips", "materials", "relit_psnr"}
+    assert set(scores.notes) == {"lpips", "materials", "relit_psnr", "relit_object_psnr"}
 
 
 def check_known_errors(oracle: Oracle) -> None:
@@ -146,7 +146,7 @@ def test_coverage_alone_is_compared_no_larger_than_pictures(ball: Oracle) -> Non
 def test_what_is_missing_is_not_scored_and_says_why(ball: Oracle) -> None:
     scores = ball.score()
     assert scores.notes["lpips"] == "no weights given (--lpips-weights)"
-    assert set(scores.notes) == {"lpips", "materials", "relit_psnr"}
+    assert set(scores.notes) == {"lpips", "materials", "relit_psnr", "relit_object_psnr"}
     (ball.root / "test" / "r_3_depth.npz").unlink()
     (ball.root / "gt_mesh.ply").unlink()
     scores = ball.score()

@@ -4,6 +4,7 @@ import re
 import shutil
 import subprocess
 from collections.abc import Iterator
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -12,10 +13,10 @@ import finished
 import pytest
 
 from refdgs_pipe.pipeline.store import Store
-from refdgs_pipe.reporting import asset, html
+from refdgs_pipe.reporting import asset, html, overview
 from refdgs_pipe.reporting import facts as facts_module
 from refdgs_pipe.reporting.facts import Drawing, Facts, collect
-from refdgs_pipe.reporting.overview import judge
+from refdgs_pipe.reporting.overview import Reason, judge
 from refdgs_pipe.reporting.page import SECTIONS, page, write_report
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "google-chrome", "chrome"))), None)
@@ -102,7 +103,7 @@ def test_a_finished_workspace_fills_every_section(text: str) -> None:
     assert ids == [section.name for section in SECTIONS]
     for section in SECTIONS:
         assert 'class="none"' not in body_of(text, section.name), section.name
-    assert "Good: every stage is done" in text
+    assert "Good: nothing that was measured on the object speaks against it." in text
     assert len(re.findall(r'<figure class="photo', text)) == 6
     assert body_of(text, "cameras").count('class="camera ') == 2 * 5
     assert body_of(text, "training").count("<polyline") == 2
@@ -195,8 +196,23 @@ def test_a_damaged_result_costs_only_its_own_sections(tmp_path: Path) -> None:
     assert body_of(made, "mesh").count("<img") > 10
 
 
-def test_the_verdict_is_that_of_the_stages(tmp_path: Path) -> None:
-    assert judge(facts_of(tmp_path / "a", warning="three photos lost")).word == "degraded"
+def test_the_verdict_is_the_worst_of_what_was_measured_and_says_what_to_do(tmp_path: Path) -> None:
+    bad = replace(finished.FINE, psnr=24.0, training_psnr=24.5, part_share=0.3, parts=7)
+    found = facts_of(tmp_path / "a", warning="three photos lost", evidence=bad)
+    opinion = judge(found)
+    assert (opinion.word, opinion.line[:5]) == ("poor", "Poor:")
+    assert [reason.word for reason in opinion.reasons[:3]] == ["poor", "fair", "good"]
+    assert opinion.reasons[-1].words == "three photos lost"
+    made = overview.head(found)
+    assert 'class="verdict poor"' in made
+    assert "loose bits of surface: 7, 30% of the surface" in made and "clean.floater" in made
+    fair = replace(finished.FINE, psnr=24.0, training_psnr=24.5)
+    draft = replace(facts_of(tmp_path / "b", evidence=fair), draft=True)
+    assert judge(draft).line.startswith("Fair: a first look.")
+    assert judge(facts_of(tmp_path / "c", evidence=None)).word == "unjudged"
+
+
+def test_what_did_not_come_to_its_end_has_a_state_instead_of_a_verdict(tmp_path: Path) -> None:
     store = Store(tmp_path / "b")
     finished.log(
         store,
@@ -204,7 +220,7 @@ def test_the_verdict_is_that_of_the_stages(tmp_path: Path) -> None:
         {"event": "failed", "kind": "TrainingError", "message": "training diverged"},
     )
     failed = judge(facts_of(store.root, until="sfm"))
-    assert (failed.word, failed.reasons) == ("failed", (("train", "training diverged"),))
+    assert (failed.word, failed.reasons) == ("failed", (Reason("train", "training diverged"),))
     finished.log(store, {"event": "failed", "kind": "Cancelled", "message": "stopped"}, name="2")
     assert judge(facts_of(store.root, until="sfm")).word == "unfinished"
 

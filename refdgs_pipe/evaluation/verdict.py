@@ -1,0 +1,224 @@
+"""good, fair or poor: what the evidence says of a result, in words, with what to do about it.
+
+docs/verdict.md says how the thresholds were found, and how well the verdict agrees with truth.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+from refdgs_pipe.artifacts.evidence import Evidence
+
+Word = Literal["good", "fair", "poor"]
+Told = tuple[str, str] | None  # the value in words, and what to do about it
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was judged.
+
+    Args:
+        about: what, as in "sharpness against unseen photos".
+        word: None for a note, which decides nothing.
+        value: the figure in words, as in "24 dB".
+        advice: what to do about it; empty where nothing is to be done.
+        mark: below 0 is poor, from 1 on is good; evenly in between.
+    """
+
+    about: str
+    word: Word | None
+    value: str
+    advice: str
+    mark: float
+
+    @property
+    def text(self) -> str:
+        """The finding in one line: "sharpness against unseen photos: fair, 24 dB"."""
+        return f"{self.about}: {self.word}, {self.value}" if self.word else self.value
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What to think of a result.
+
+    Args:
+        word: the worst of its findings' words.
+        score: of the marks, for comparing results: below 0 is bad, 1 and more is good.
+        findings: worst first, notes last.
+        draft: the recipe is meant for a first look.
+    """
+
+    word: Word
+    score: float
+    findings: tuple[Finding, ...]
+    draft: bool = False
+
+    @property
+    def line(self) -> str:
+        """The verdict alone: "fair: a first look"."""
+        return f"{self.word}: a first look" if self.draft else self.word
+
+    def record(self) -> dict[str, object]:
+        """As JSON has it."""
+        reasons = [
+            {"about": f.about, "word": f.word, "value": f.value, "advice": f.advice}
+            for f in self.findings
+        ]
+        return {"word": self.word, "line": self.line, "score": self.score, "reasons": reasons}
+
+
+@dataclass(frozen=True)
+class _Aspect:
+    """One figure and where it is poor and good.
+
+    Args:
+        value: the figure; None where it was not measured.
+        words: the figure in words; advice: what to do where it is not good.
+    """
+
+    about: str
+    value: Callable[[Evidence], float | None]
+    poor: float
+    good: float
+    words: Callable[[Evidence], str]
+    advice: str
+
+    def finding(self, evidence: Evidence) -> Finding | None:
+        """None where there is nothing to judge."""
+        value = self.value(evidence)
+        if value is None:
+            return None
+        mark = (value - self.poor) / (self.good - self.poor)
+        word: Word = "poor" if mark < 0 else "good" if mark >= 1 else "fair"
+        advice = "" if word == "good" else self.advice
+        return Finding(self.about, word, self.words(evidence), advice, mark)
+
+
+def _gap(evidence: Evidence) -> float | None:
+    if evidence.psnr is None or evidence.training_psnr is None:
+        return None
+    return evidence.training_psnr - evidence.psnr
+
+
+def _placed(evidence: Evidence) -> float | None:
+    return evidence.placed / evidence.photos if evidence.photos else None
+
+
+_ASPECTS = (
+    _Aspect(
+        "sharpness against unseen photos",
+        lambda e: e.psnr,
+        16.0,
+        26.0,
+        lambda e: f"{e.psnr:.0f} dB on the object",
+        "train longer (the recipe `glossy`, more train.iterations), or take sharper, evenly "
+        "exposed photos",
+    ),
+    _Aspect(
+        "unseen photos beside those of the training",
+        _gap,
+        6.0,
+        2.0,
+        lambda e: f"{_gap(e):.1f} dB worse",
+        "take more photos all round, with less than 15 degrees between neighbours",
+    ),
+    _Aspect(
+        "photos with a trusted place",
+        _placed,
+        0.6,
+        0.9,
+        lambda e: f"{e.placed} of {e.photos}",
+        "take photos between the lost ones and the others; the section Photos names them",
+    ),
+    _Aspect(
+        "surface seen well by photos",
+        lambda e: e.seen,
+        0.3,
+        0.6,
+        lambda e: f"{e.seen:.0%}, nobody saw {e.unseen:.0%}",
+        "take photos of the sides that the section Coverage shows in red",
+    ),
+    _Aspect(
+        "holes in the surface",
+        lambda e: e.hole_length,
+        4.0,
+        0.5,
+        lambda e: f"{e.holes}, their rims {e.hole_length:.1f} times the diagonal",
+        "raise clean.hole to close them, or photograph what is behind them",
+    ),
+    _Aspect(
+        "loose bits of surface",
+        lambda e: e.part_share,
+        0.1,
+        0.01,
+        lambda e: f"{e.parts}, {e.part_share:.0%} of the surface",
+        "raise clean.floater to remove them, or give masks",
+    ),
+    _Aspect(
+        "outlines of the mesh against those of the object",
+        lambda e: e.outline,
+        4.0,
+        1.0,
+        lambda e: f"{e.outline:.1f} % of its size apart",
+        "look at the section Mesh; give masks, more photos, or train longer",
+    ),
+    _Aspect(
+        "shape, from one view to the next",
+        lambda e: e.contradicted,
+        0.15,
+        0.03,
+        lambda e: f"{e.contradicted:.0%} of what one view sees is denied by another",
+        "check the poses (section Cameras), take more photos, or train longer",
+    ),
+    _Aspect(
+        "mesh against the depth that it was made of",
+        lambda e: e.depth,
+        1.5,
+        0.4,
+        lambda e: f"{e.depth:.2f} % of the diagonal apart",
+        "take more photos, train longer, or lower extract.voxel",
+    ),
+    _Aspect(
+        "asset, in the light that was found, against photos",
+        lambda e: e.asset_psnr,
+        13.0,
+        22.0,
+        lambda e: f"{e.asset_psnr:.0f} dB on the object, the field itself {e.psnr:.0f} dB",
+        "look at the relit pictures in the report; a larger bake.size and longer training help",
+    ),
+)
+_RANK = {"poor": 0, "fair": 1, "good": 2, None: 3}
+
+
+def judged(evidence: Evidence, *, draft: bool = False) -> Verdict:
+    """What the evidence says.
+
+    The verdict is as bad as the worst finding. Whether the size is known is a note: it says
+    nothing of the quality.
+
+    Args:
+        draft: the result is meant for a first look; only the words say so.
+    """
+    found = [f for aspect in _ASPECTS if (f := aspect.finding(evidence)) is not None]
+    if evidence.psnr is None:
+        advice = "look at `refdgs-pipe render WORKSPACE`; give masks or more photos"
+        found.append(Finding("the object", "poor", "no photo shows it", advice, -1.0))
+    marks = sorted(min(max(f.mark, -1.0), 1.5) for f in found)
+    score = sum(marks) / len(marks)
+    found.sort(key=lambda f: (_RANK[f.word], f.mark))
+    word = found[0].word or "poor"
+    return Verdict(word, score, (*found, *_notes(evidence)), draft)
+
+
+def _notes(evidence: Evidence) -> list[Finding]:
+    notes = []
+    if not evidence.held_out:
+        words = "no photo was held out: figures are of photos that it was trained with"
+        notes.append(Finding("held-out photos", None, words, "give 16 photos or more", 1.0))
+    if not evidence.masked:
+        words = "no masks: the object is what the field and the mesh show of it"
+        notes.append(Finding("masks", None, words, "", 1.0))
+    if not evidence.metres:
+        words = "size unknown: a unit is taken for a metre"
+        notes.append(Finding("size", None, words, "set export.longest, in metres", 1.0))
+    return notes

@@ -1,0 +1,96 @@
+"""What a mesh tells of itself: rims that should not be there, loose bits, what photos saw."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from refdgs_pipe.artifacts.mesh import TriangleMesh, UvMesh
+from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
+
+F64 = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+WELL = 0.5  # confidence from which on a place counts as seen well
+_LOW = 0.25  # of the object's height: a rim that lies lower can be that of the bottom
+_BIT = 0.05  # of the surface: larger pieces can be parts of the object
+
+
+def open_rims(mesh: TriangleMesh | UvMesh) -> tuple[F64, F64]:
+    """The loops of edges that have a face on one side only; charts are joined again.
+
+    Returns:
+        (R,) their lengths in world units, and (R, 3) their centres.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    points, faces = _welded(mesh)
+    edges = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], -1).reshape(-1, 2), axis=1)
+    unique, counts = np.unique(edges, axis=0, return_counts=True)
+    rim = unique[counts == 1]
+    if not len(rim):
+        return np.zeros(0), np.zeros((0, 3))
+    links = coo_array((np.ones(len(rim)), (rim[:, 0], rim[:, 1])), shape=(len(points),) * 2)
+    _, part = connected_components(links, directed=False)
+    loops, of = np.unique(part[rim[:, 0]], return_inverse=True)
+    length = np.linalg.norm(points[rim[:, 0]] - points[rim[:, 1]], axis=1)
+    lengths = np.asarray(np.bincount(of, length, len(loops)), np.float64)
+    middle = (points[rim[:, 0]] + points[rim[:, 1]]) / 2
+    sums = [np.bincount(of, length * middle[:, i], len(loops)) for i in range(3)]
+    return lengths, np.stack(sums, -1) / np.maximum(lengths, 1e-30)[:, None]
+
+
+def open_holes(mesh: TriangleMesh, up: F64) -> tuple[int, float]:
+    """How many open rims a mesh has, and their length in world units, without that of a bottom.
+
+    The longest rim is the bottom's if it lies in the lowest quarter of the mesh: what the object
+    stands on hides its underside.
+
+    Args:
+        up: (3,) unit vector.
+    """
+    lengths, centers = open_rims(mesh)
+    if not len(lengths):
+        return 0, 0.0
+    heights = mesh.vertices[np.unique(mesh.faces)].astype(np.float64) @ up
+    longest = int(lengths.argmax())
+    level = (float(centers[longest] @ up) - heights.min()) / max(float(np.ptp(heights)), 1e-12)
+    if level < _LOW:
+        lengths = np.delete(lengths, longest)
+    return len(lengths), float(lengths.sum())
+
+
+def loose_parts(mesh: TriangleMesh) -> tuple[int, float]:
+    """How many small pieces of the surface hang together with nothing, and their share of it."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    points, faces = _welded(mesh)
+    start, end = faces[:, [0, 1]].reshape(-1), faces[:, [1, 2]].reshape(-1)
+    links = coo_array((np.ones(len(start)), (start, end)), shape=(len(points),) * 2)
+    _, labels = connected_components(links, directed=False)
+    areas = np.bincount(labels[faces[:, 0]], _areas(points, faces))
+    total = float(areas.sum())
+    small = areas[(areas > 0) & (areas < _BIT * total)]
+    return len(small), float(small.sum()) / total if total else 0.0
+
+
+def seen_shares(textured: TexturedMesh) -> tuple[float, float]:
+    """The shares of the surface that photos saw well, and that none saw."""
+    mesh, size = textured.mesh, textured.size
+    middle = mesh.uv[mesh.faces].mean(1)
+    column, row = np.clip(middle * size, 0, size - 1).astype(np.int64).T
+    trust = textured.confidence[row, column] / 65535
+    areas = _areas(mesh.vertices.astype(np.float64), mesh.faces.astype(np.int64))
+    total = max(float(areas.sum()), 1e-30)
+    return float(areas[trust >= WELL].sum()) / total, float(areas[trust == 0].sum()) / total
+
+
+def _welded(mesh: TriangleMesh | UvMesh) -> tuple[F64, Ints]:
+    """(P, 3) distinct places of vertices, and (F, 3) faces between them."""
+    points, same = np.unique(mesh.vertices, axis=0, return_inverse=True)
+    return points.astype(np.float64), same.reshape(-1)[mesh.faces]
+
+
+def _areas(points: F64, faces: Ints) -> F64:
+    a, b, c = (points[faces[:, i]] for i in range(3))
+    return np.asarray(np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2)
