@@ -21,7 +21,7 @@ from refdgs_pipe.sfm.trust import conflict, groups, reasons
 BRIDGE = 10  # points that have to hold two groups of photos together
 FARTHER = 5.0  # times the median distance, or as many times nearer: not of the same capture
 ASIDE = 1.25  # of the angle from the axis to the photo's corner, beyond which the object lies
-CONFLICT = 0.35  # of the matches between placed photos that may contradict the places
+CONFLICT = 0.5  # of the matches between placed photos that may contradict the places
 HELD_PAIRS = 5
 APART = 0.1  # of the photos' distance from their middle, between two solutions
 BALL_POINTS = 30  # points in the object ball, each seen by three photos

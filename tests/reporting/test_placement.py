@@ -13,7 +13,7 @@ from refdgs_pipe.reporting.facts import Drawing, Facts, collect
 from refdgs_pipe.reporting.page import page
 from refdgs_pipe.reporting.placement import draw_overlay, lost_photos
 
-LOST = "only 10% of its matches"
+LOST = "speaks against the place"
 
 
 def body_of(text: str, name: str) -> str:
