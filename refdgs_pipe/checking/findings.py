@@ -257,7 +257,7 @@ def _size(look: Look) -> Finding:
         scale = look.placement.metres_per_unit
     if scale is not None:
         return Finding("size", "ok", "known from the photos")
-    advice = "Set the longest side in metres: --set export.longest=0.23"
+    advice = "Give `run` the longest side, --size METRES, or lay the object on the printed mat"
     return Finding("size", "note", "unknown: nothing in the photos tells it", advice)
 
 
