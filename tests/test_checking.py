@@ -72,7 +72,7 @@ def test_photos_that_were_not_read_cannot_be_used() -> None:
 
 def test_a_turntable_and_copies_are_said(tmp_path: Path) -> None:
     views = finished.views(tmp_path)
-    views = replace(views, skipped=(Skipped("b.jpg", "copy of a.jpg", True),))
+    views = replace(views, skipped=(Skipped("b.jpg", "copy of a.jpg", copy_of="a.jpg"),))
     note = "the background stands still while the object turns, as on a turntable"
     found, _ = judged(look_at(views, Placement(None, notes=(note,))))
     assert found["background"].text == note and found["background"].state == "but"

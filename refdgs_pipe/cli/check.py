@@ -130,7 +130,8 @@ def _page(paths: tuple[Path, ...], out: Path | None, title: str) -> Path:
     Raises:
         InputError: `out` lies in the folder of photos.
     """
-    folders = [path if path.is_dir() else path.parent for path in paths]
+    folders = [path for path in paths if path.is_dir()]
+    folders += [path.parent for path in paths[1:]]
     if out is None:
         return default_root(paths).with_name(f"{title}.check.html")
     page = absolute(out)
