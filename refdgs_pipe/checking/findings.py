@@ -18,7 +18,7 @@ Word = Literal["yes", "but", "unclear", "no"]
 NAMES_SHOWN = 6
 GAP_DEG = 60.0
 MANY = 0.25  # of the photos, clipped on the object: highlights alone do not reach that
-_TOLD = re.compile(r"photos look blurred|files skipped|have no mask|cop(y|ies) of")
+_TOLD = re.compile(r"look blurred|files skipped|have no mask|of other photos and left out")
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ def _read(look: Look, views: Views) -> Finding:
     if look.megapixels is not None and look.megapixels < 1:
         size = f" of {look.megapixels:.1f} megapixels"
     text = f"{counted(len(views.items), 'photo')}{size} read"
-    lost = [s for s in views.skipped if not s.harmless and not _is_copy(s.reason)]
+    lost = [s for s in views.skipped if not s.harmless and not s.copy_of]
     if not lost:
         return Finding("photos", "ok", text)
     reasons = _listed(s.reason if s.name in s.reason else f"{s.name}: {s.reason}" for s in lost)
@@ -109,12 +109,8 @@ def _read(look: Look, views: Views) -> Finding:
     return Finding("photos", "but", f"{text}; {len(lost)} skipped: {reasons}", advice, names)
 
 
-def _is_copy(reason: str) -> bool:
-    return reason.startswith("copy of")
-
-
 def _copies(views: Views) -> list[Finding]:
-    found = [s for s in views.skipped if _is_copy(s.reason)]
+    found = [s for s in views.skipped if s.copy_of]
     if not found:
         return []
     words = _listed(f"{s.name} is a {s.reason}" for s in found)
@@ -177,7 +173,7 @@ def _other_warnings(look: Look) -> list[Finding]:
 
 def light(views: Views) -> list[Finding]:
     """Whether the light moves with the camera, by what EXIF says of a flash."""
-    told = [getattr(view.exif, "flash", None) for view in views.items]
+    told = [view.exif.flash for view in views.items]
     lit = [view.source for view, flash in zip(views.items, told, strict=True) if flash]
     if lit:
         text = (
@@ -257,7 +253,7 @@ def _size(look: Look) -> Finding:
         scale = look.placement.metres_per_unit
     if scale is not None:
         return Finding("size", "ok", "known from the photos")
-    advice = "Set the longest side in metres: --set export.longest=0.23"
+    advice = "Give `run` the longest side, --size METRES, or lay the object on the printed mat"
     return Finding("size", "note", "unknown: nothing in the photos tells it", advice)
 
 

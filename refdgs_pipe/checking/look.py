@@ -10,8 +10,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from refdgs_pipe.artifacts.capture import Capture
-from refdgs_pipe.artifacts.placement import Attempt, Placement
+from refdgs_pipe.artifacts.placement import Placement, Poses
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.views import View, Views
 from refdgs_pipe.checking.pixels import Exposure, exposures_of
@@ -147,39 +149,44 @@ def _placed(
     """Place the photos with few features, once, and let the gate judge the result."""
     from refdgs_pipe.child import call_in_child
     from refdgs_pipe.sfm.pictures import plain_images
-    from refdgs_pipe.sfm.posed import shots_of
     from refdgs_pipe.sfm.poses import Effort
-    from refdgs_pipe.sfm.trust import trusted
+    from refdgs_pipe.sfm.solve import solve
 
     step = -(-len(views.items) // MOST_PLACED)
     views = replace(views, items=views.items[::step])
+    found: list[tuple[Poses, tuple[str, ...]]] = []
+
+    def once(arguments: dict[str, Any]) -> tuple[Poses, tuple[str, ...]]:
+        """The answer of the first rung; harder rungs get it again, which changes nothing."""
+        target = "refdgs_pipe.sfm.colmap:reconstruct"
+        try:
+            if not found:
+                limit = TIME_LIMIT_S
+                answer = call_in_child(
+                    target, arguments, timeout_s=limit, stop=stop, on_progress=told
+                )
+                found.append(answer)
+        except (ChildCrashed, ChildTimeout) as error:
+            note = f"the quick try ended early: {str(error).splitlines()[0]}"
+            found.append((_nowhere(), (note,)))
+        return found[0]
+
+    effort = Effort(SIDE, FEATURES, -1, threads)
     pictures = plain_images(views, scratch)
-    arguments: dict[str, Any] = {
-        "images": pictures.folder,
-        "shots": shots_of(views, pictures.sizes),
-        "masks": None,
-        "effort": Effort(SIDE, FEATURES, -1, threads),
-        "scratch": scratch / "colmap",
-    }
-    target = "refdgs_pipe.sfm.colmap:reconstruct"
-    try:
-        poses, notes = call_in_child(
-            target, arguments, timeout_s=TIME_LIMIT_S, stop=stop, on_progress=told
-        )
-    except (ChildCrashed, ChildTimeout) as error:
-        poses, notes = None, (f"the quick try ended early: {str(error).splitlines()[0]}",)
-    counts = (0, 0, 0)
-    if poses is not None:
-        counts = (len(poses.cam_from_world), len(trusted(poses)), len(poses.points))
-    placement = Placement(poses, (Attempt("a quick try", *counts),), notes)
+    placement = solve(views, pictures, effort, masks="none", scratch=scratch, run=once)
+    first, *others = placement.attempts
+    tried = (replace(first, name="a quick try"), *(a for a in others if "mat" in a.name))
+    placement = replace(placement, attempts=tried)
     judgement = examine(views, placement, least=least)
     return replace(
-        look,
-        placement=placement,
-        judgement=judgement,
-        model=judgement.model,
-        tried=views.items,
+        look, placement=placement, judgement=judgement, model=judgement.model, tried=views.items
     )
+
+
+def _nowhere() -> Poses:
+    """No photo with a place."""
+    points, colors = np.zeros((0, 3)), np.zeros((0, 3), np.uint8)
+    return Poses({}, {}, (), points, colors, {}, 0.0, "incremental")
 
 
 def _megapixels(paths: list[Path]) -> float | None:

@@ -75,7 +75,7 @@ def _photos(look: Look) -> list[dict[str, Any]]:
                 "is_blurred": index in weak,
                 "is_dark": exposure is not None and exposure.is_dark,
                 "clipped": None if exposure is None else round(exposure.clipped, 4),
-                "flash": getattr(view.exif, "flash", None),
+                "flash": view.exif.flash,
                 "has_mask": view.mask is not None,
                 "is_placed": look.is_known or (view.name in taken and view.name not in lost),
                 "why_not": lost.get(view.name),

@@ -105,8 +105,7 @@ def check(
 
 def describe(checked: "Checked") -> str:
     """The check in words: the verdict, what to do, what was found, what a run takes."""
-    from refdgs_pipe.reporting.check import about_duration
-    from refdgs_pipe.wording import size
+    from refdgs_pipe.reporting.check import about_duration, about_room
 
     verdict = checked.verdict
     lines = [verdict.line, *(f"  - {text}" for text in verdict.to_do), ""]
@@ -115,8 +114,8 @@ def describe(checked: "Checked") -> str:
     if checked.costs:
         lines += ["", f"a run takes, with {checked.cores} of this machine's cores:"]
     for cost in checked.costs:
-        time_words = about_duration(cost.seconds)
-        lines.append(f"  {cost.recipe:13} {time_words}, about {size(cost.bytes)} on disk")
+        time_words, room = about_duration(cost.seconds), about_room(cost.bytes)
+        lines.append(f"  {cost.recipe:13} {time_words}, {room} on disk")
     return "\n".join([*lines, ""])
 
 
@@ -131,7 +130,8 @@ def _page(paths: tuple[Path, ...], out: Path | None, title: str) -> Path:
     Raises:
         InputError: `out` lies in the folder of photos.
     """
-    folders = [path if path.is_dir() else path.parent for path in paths]
+    folders = [path for path in paths if path.is_dir()]
+    folders += [path.parent for path in paths[1:]]
     if out is None:
         return default_root(paths).with_name(f"{title}.check.html")
     page = absolute(out)

@@ -12,7 +12,7 @@ from refdgs_pipe.reporting.facts import readable
 from refdgs_pipe.reporting.html import Content, Html, figure, joined, table, tag
 from refdgs_pipe.reporting.page import document
 from refdgs_pipe.reporting.photos import camera_plans, photo_faults, sheet
-from refdgs_pipe.wording import counted, size
+from refdgs_pipe.wording import counted
 
 _CLASSES = {"yes": "good", "but": "degraded", "unclear": "degraded", "no": "failed"}
 _STATES = {
@@ -135,12 +135,19 @@ def _cost(checked: Checked) -> Html:
     if not checked.costs:
         return Html("")
     rows: list[tuple[Content, ...]] = [
-        (cost.recipe, about_duration(cost.seconds), f"about {size(cost.bytes)}", cost.about)
+        (cost.recipe, about_duration(cost.seconds), about_room(cost.bytes), cost.about)
         for cost in checked.costs
     ]
     cores = counted(checked.cores, "core")
     words = f"A rough estimate for {cores} of this machine, without a GPU and other work beside."
     return joined(tag("p", words), table(("recipe", "time", "room on disk", "for"), rows))
+
+
+def about_room(count: int) -> str:
+    """Bytes that are only roughly known: "about 190 MB", "about 2.3 GB"."""
+    if count < 995_000_000:
+        return f"about {round(count / 1e7) * 10} MB"
+    return f"about {count / 1e9:.1f} GB"
 
 
 def about_duration(seconds: float) -> str:

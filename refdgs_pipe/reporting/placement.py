@@ -78,7 +78,8 @@ def attempts_table(attempts: Sequence[Attempt]) -> Html:
     rows: list[tuple[Content, ...]] = [
         (a.name, str(a.placed), str(a.trusted), f"{a.points:,}") for a in attempts
     ]
-    return table(("tried", "placed", "trusted", "points"), rows) if rows else Html("")
+    head = ("tried", "placed", "trusted", "points")
+    return table(head, rows, class_="attempts") if rows else Html("")
 
 
 def checks_table(checks: Sequence[Check]) -> Html:
