@@ -20,6 +20,11 @@ class GateParams(Params):
     up: Point | None = Field(None, description="up axis, a direction; none finds it")
     ball_center: Point | None = Field(None, description="object ball's centre, world units")
     ball_radius: float | None = Field(None, gt=0, description="object ball's radius, world units")
+    distance: str = Field(
+        "",
+        max_length=2000,
+        description="two points marked in photos, in pixels, and metres between them; empty: none",
+    )
 
 
 @stage(version=1)
@@ -28,6 +33,7 @@ def gate(views: Views, placement: Placement, params: GateParams, job: Job) -> Sp
     from refdgs_pipe.sfm.gate import check_trusted, examine
     from refdgs_pipe.sfm.known import model_from_known_poses
     from refdgs_pipe.sfm.report import figures, overridden, warnings_about
+    from refdgs_pipe.sfm.two_points import with_distance
 
     gaps: tuple[str, ...] = ()
     if placement.known:
@@ -39,6 +45,7 @@ def gate(views: Views, placement: Placement, params: GateParams, job: Job) -> Sp
         model = check_trusted(views, judgement, attempts=len(placement.attempts))
         gaps = judgement.gaps
     model = overridden(model, params.up, params.ball_center, params.ball_radius)
+    model = with_distance(model, views, params.distance)
     for name, value, unit in figures(model, placement.poses):
         job.measure(name, value, unit)
     for note in placement.notes:

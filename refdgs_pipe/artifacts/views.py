@@ -83,6 +83,7 @@ class View:
         source: the user's file, relative to the capture.
         placing: a larger 8-bit sRGB PNG of the same photo below `Views.folder`, for structure from
             motion; None where the image itself serves.
+        source_size: width and height of the user's file, upright, pixels.
     """
 
     name: str
@@ -97,6 +98,7 @@ class View:
     known: KnownPose | None
     source: str
     placing: str | None = None
+    source_size: tuple[int, int] | None = None
 
 
 @dataclass(frozen=True)
@@ -221,4 +223,7 @@ def _view_from_json(record: dict[str, Any]) -> View:
     if known is not None:
         lens = Lens(np.array(known["K"], float), np.array(known["distortion"], float))
         known = KnownPose(lens, np.array(known["cam_from_world"], float))
-    return View(**{**record, "exif": Exif(**record["exif"]), "known": known})
+    size = record.pop("source_size", None)
+    size = None if size is None else (int(size[0]), int(size[1]))
+    exif = Exif(**record["exif"])
+    return View(**{**record, "exif": exif, "known": known, "source_size": size})

@@ -159,7 +159,18 @@ def prepare_photo(frame: Frame, folder: Path, plan: Plan) -> View:
         known=_resized_pose(frame.known, stored, (width, height)),
         source=frame.source,
         placing=placing,
+        source_size=_upright_size(frame, stored, orientation, plan),
     )
+
+
+def _upright_size(
+    frame: Frame, decoded: tuple[int, int], orientation: int, plan: Plan
+) -> tuple[int, int]:
+    """Width and height of the user's file, upright; large files may be decoded at a fraction."""
+    if frame.path in plan.raw:
+        return decoded
+    width, height = _size(frame.path)
+    return (height, width) if orientation >= 5 else (width, height)
 
 
 def _write_placing(

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 
 import numpy as np
@@ -136,6 +136,19 @@ def metres_per_unit(points: TwoPoints, photos: Mapping[str, Marked]) -> float:
     if apart < 1e-9:
         raise InputError("distance: both points are at one place. Mark two different points")
     return points.metres / apart
+
+
+def with_distance(model: SparseModel, views: Views, text: str) -> SparseModel:
+    """The model with the size that a marked distance gives; as it is where nothing was marked.
+
+    Raises:
+        InputError: the text cannot be read, or the marks contradict the photos' places.
+    """
+    if not text.strip():
+        return model
+    sizes = {view.source: view.source_size or (view.width, view.height) for view in views.items}
+    scale = metres_per_unit(parsed(text), marked_photos(model, views, sizes))
+    return replace(model, metres_per_unit=scale)
 
 
 def _photo(name: str, photos: Mapping[str, Marked]) -> Marked:

@@ -1,6 +1,7 @@
 """Size from two points that the user marked and measured."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,14 @@ from refdgs_pipe.artifacts.sparse_model import Ball, SparseModel
 from refdgs_pipe.artifacts.views import Exif, View, Views
 from refdgs_pipe.camera import Camera, Lens
 from refdgs_pipe.errors import InputError
-from refdgs_pipe.sfm.two_points import Marked, TwoPoints, marked_photos, metres_per_unit, parsed
+from refdgs_pipe.sfm.two_points import (
+    Marked,
+    TwoPoints,
+    marked_photos,
+    metres_per_unit,
+    parsed,
+    with_distance,
+)
 
 TEXT = "a.jpg:812,455 a.jpg:1200.5,460 b.jpg:640,300 b.jpg:1012,310 0.23"
 POINTS = np.array([[-0.05, 0.02, 0.0], [0.06, 0.01, 0.04]])  # metres
@@ -116,3 +124,11 @@ def test_marks_count_the_pixels_of_the_users_files(tmp_path: Path) -> None:
     large = {f"day/{name}.jpg": 4 * marks for name, marks in points.marks.items()}
     found = metres_per_unit(TwoPoints(large, points.metres), marked_photos(model, views, sizes))
     assert found == pytest.approx(UNIT, rel=1e-4)
+    text = (
+        " ".join(f"{f}:{x},{y}" for f, marks in large.items() for x, y in marks)
+        + f" {points.metres}"
+    )
+    larger = [replace(view, source_size=(4 * SIZE[0], 4 * SIZE[1])) for view in items]
+    told = with_distance(model, replace(views, items=tuple(larger)), text)
+    assert told.metres_per_unit == pytest.approx(UNIT, rel=1e-4)
+    assert with_distance(model, views, " ") is model
