@@ -62,6 +62,9 @@ def reconstruct(
         base.match_pairs(database, pairs, effort, progress)
         again = _best(database, images, scratch / "again", progress, still)
         best = max(best, again, key=standing)
+    if len(best.cam_from_world) < len(files):
+        whole = _best(database, images, scratch / "whole", progress, still, holding_out=False)
+        best = max(best, whole, key=standing)
     if standing(best)[0] < GOOD * len(files):
         few = _best(database, images, scratch / "few", progress, still, lenient=True)
         best = max(best, few, key=standing)
@@ -84,9 +87,14 @@ def _best(
     progress: OnProgress,
     still: Still,
     *,
+    holding_out: bool = True,
     lenient: bool = False,
 ) -> Poses:
-    """The incremental mapper's model with the most trusted photos; some pairs are held out."""
+    """The incremental mapper's model with the most trusted photos.
+
+    Args:
+        holding_out: whether some pairs are kept from the mapper, as evidence.
+    """
     count = [0]
     total = len(still.share)
 
@@ -97,7 +105,7 @@ def _best(
     folder.mkdir()
     part = folder / "database.db"
     shutil.copyfile(database, part)
-    known = Known(still.share, hold_out(part))
+    known = Known(still.share, hold_out(part) if holding_out else frozenset())
     models = mapping.incremental(part, images, folder, placed, lenient=lenient)
     found = [
         poses_of(mapping.refined(model), "incremental", database, known)
