@@ -33,7 +33,7 @@ def open_rims(mesh: TriangleMesh | UvMesh) -> tuple[F64, F64]:
     _, part = connected_components(links, directed=False)
     loops, of = np.unique(part[rim[:, 0]], return_inverse=True)
     length = np.linalg.norm(points[rim[:, 0]] - points[rim[:, 1]], axis=1)
-    lengths = np.bincount(of, length, len(loops))
+    lengths = np.asarray(np.bincount(of, length, len(loops)), np.float64)
     middle = (points[rim[:, 0]] + points[rim[:, 1]]) / 2
     sums = [np.bincount(of, length * middle[:, i], len(loops)) for i in range(3)]
     return lengths, np.stack(sums, -1) / np.maximum(lengths, 1e-30)[:, None]
