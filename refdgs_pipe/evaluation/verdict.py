@@ -100,6 +100,10 @@ def _gap(evidence: Evidence) -> float | None:
     return evidence.training_psnr - evidence.psnr
 
 
+def _gap_words(gap: float) -> str:
+    return f"{gap:.1f} dB worse" if gap >= 0.05 else "no worse"
+
+
 def _placed(evidence: Evidence) -> float | None:
     return evidence.placed / evidence.photos if evidence.photos else None
 
@@ -119,7 +123,7 @@ _ASPECTS = (
         _gap,
         6.0,
         2.0,
-        lambda e: f"{_gap(e):.1f} dB worse",
+        lambda e: _gap_words(_gap(e) or 0.0),
         "take more photos all round, with less than 15 degrees between neighbours",
     ),
     _Aspect(

@@ -106,12 +106,13 @@ def figures_of(case: Case, folder: Path) -> dict[str, Any]:
     def load(kind: Any) -> Any:
         return kind.load(folders[kind])
 
-    field, views, textured = load(SurfelField), load(Views), load(TexturedMesh)
+    field, views = load(SurfelField), load(Views)
+    textured = load(TexturedMesh) if TexturedMesh in folders else None  # some stop at the mesh
     model = load(SparseModel).placed(field.poses)
     drawing = Drawing(
         partial(render_image, field, threads=1),
         partial(render_surface_map, field, threads=1),
-        relit(textured, load(Appearance)),
+        None if textured is None else relit(textured, load(Appearance)),
     )
     subject = Subject(views, model, load(Mesh), folder, textured)
     evidence = gathered(subject, drawing, Protocol(space.settings["evaluate"].max_side))  # type: ignore[attr-defined]
