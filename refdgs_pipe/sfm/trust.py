@@ -105,10 +105,10 @@ def _doubt(support: Support, least: int) -> str:
 
 def _partners_and_contradiction(evidence: Evidence, file: str) -> tuple[int, float]:
     row = evidence.names.index(file)
-    mine = (evidence.pairs == row).any(1) & ~np.isnan(evidence.agree)
-    partners = int((evidence.shared[(evidence.pairs == row).any(1)] >= SHARED).sum())
-    against = float((evidence.inliers[mine] * (1 - evidence.agree[mine])).sum())
-    return partners, against / max(against + float(evidence.shared[mine].sum()), 1.0)
+    mine = (evidence.pairs == row).any(1)
+    shared, inliers, agree = evidence.shared[mine], evidence.inliers[mine], evidence.agree[mine]
+    against = float((inliers * (1 - np.nan_to_num(agree, nan=1.0))).sum())
+    return int((shared >= SHARED).sum()), against / max(against + float(shared.sum()), 1.0)
 
 
 def _why_unplaced(evidence: Evidence | None, file: str, said: Mapping[str, str]) -> str:
