@@ -10,10 +10,10 @@ import numpy as np
 from painted import textured
 from scenes import orbit
 
-from refdgs_pipe.artifacts import evidence as judged
 from refdgs_pipe.artifacts.appearance import Appearance
 from refdgs_pipe.artifacts.asset import Asset
 from refdgs_pipe.artifacts.mesh import Mesh, RawMesh
+from refdgs_pipe.artifacts.object_figures import ObjectFigures
 from refdgs_pipe.artifacts.placement import Attempt, Evidence, Placement, Poses
 from refdgs_pipe.artifacts.scores import Scores, ViewScore
 from refdgs_pipe.artifacts.sparse_model import Ball, Lost, SparseModel
@@ -150,7 +150,7 @@ def half_placed() -> Placement:
     return Placement(poses, (Attempt("features as <set>", 5, 3, 60),), (note,))
 
 
-FINE = judged.Evidence(
+FINE = ObjectFigures(
     photos=6,
     placed=6,
     psnr=32.0,
@@ -170,7 +170,7 @@ def steps(
     until: str = "evaluate",
     warning: str = "",
     placement: Placement | None = None,
-    evidence: judged.Evidence | None = FINE,
+    evidence: ObjectFigures | None = FINE,
 ) -> list[Step]:
     """Commit the results of all stages up to `until`, and say how each stage stands."""
     mesh = textured(64)

@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Self
 
-from refdgs_pipe.artifacts.evidence import Evidence
+from refdgs_pipe.artifacts.object_figures import ObjectFigures
 from refdgs_pipe.errors import CorruptError
 
 
@@ -124,7 +124,7 @@ class Scores:
     surfels: dict[str, int] = field(default_factory=dict)
     notes: dict[str, str] = field(default_factory=dict)
     materials: MaterialScore | None = None
-    evidence: Evidence | None = None
+    evidence: ObjectFigures | None = None
 
     def mean(self, figure: str) -> float | None:
         """The mean of one of VIEW_FIGURES over the views that have it; None if none has."""
@@ -213,7 +213,7 @@ class Scores:
                 materials = MaterialScore(**{**materials, "parts": parts})
             evidence = record["evidence"]
             if evidence is not None:
-                evidence = Evidence(**evidence)
+                evidence = ObjectFigures(**evidence)
             surfels, notes = record["surfels"], record["notes"]
             return cls(record["split"], views, surface, surfels, notes, materials, evidence)
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:

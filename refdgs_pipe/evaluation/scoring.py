@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from refdgs_pipe.artifacts.evidence import Evidence
 from refdgs_pipe.artifacts.mesh import TriangleMesh
+from refdgs_pipe.artifacts.object_figures import ObjectFigures
 from refdgs_pipe.artifacts.photos import Photo, load_photo
 from refdgs_pipe.artifacts.scores import (
     VIEW_FIGURES,
@@ -27,8 +27,8 @@ from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.errors import InputError
 from refdgs_pipe.evaluation.alignment import laid, read_true_centers, world_from_truth
-from refdgs_pipe.evaluation.evidence import TRAINING_VIEWS, Witness, over_white
 from refdgs_pipe.evaluation.materials import score_materials
+from refdgs_pipe.evaluation.object_figures import TRAINING_VIEWS, Witness, over_white
 from refdgs_pipe.evaluation.surface import score_surface
 from refdgs_pipe.evaluation.truth import (
     ViewTruth,
@@ -153,7 +153,7 @@ def score(subject: Subject, drawing: Drawing, protocol: Protocol) -> Scores:
     return Scores(split, tuple(views), surface, materials=materials, notes=notes, evidence=evidence)
 
 
-def gathered(subject: Subject, drawing: Drawing, protocol: Protocol) -> Evidence:
+def gathered(subject: Subject, drawing: Drawing, protocol: Protocol) -> ObjectFigures:
     """The evidence alone, as `score` gathers it.
 
     Raises:
@@ -169,7 +169,9 @@ def gathered(subject: Subject, drawing: Drawing, protocol: Protocol) -> Evidence
     return _evidence(subject, drawing, protocol, witness)
 
 
-def _evidence(subject: Subject, drawing: Drawing, protocol: Protocol, witness: Witness) -> Evidence:
+def _evidence(
+    subject: Subject, drawing: Drawing, protocol: Protocol, witness: Witness
+) -> ObjectFigures:
     """What the witness says once it has seen some photos of the training too."""
     is_held_out = any(camera.split == "test" for camera in subject.model.cameras)
     if is_held_out:

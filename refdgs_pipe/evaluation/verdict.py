@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-from refdgs_pipe.artifacts.evidence import Evidence
+from refdgs_pipe.artifacts.object_figures import ObjectFigures
 
 Word = Literal["good", "fair", "poor"]
 Told = tuple[str, str] | None  # the value in words, and what to do about it
@@ -77,13 +77,13 @@ class _Aspect:
     """
 
     about: str
-    value: Callable[[Evidence], float | None]
+    value: Callable[[ObjectFigures], float | None]
     poor: float
     good: float
-    words: Callable[[Evidence], str]
+    words: Callable[[ObjectFigures], str]
     advice: str
 
-    def finding(self, evidence: Evidence) -> Finding | None:
+    def finding(self, evidence: ObjectFigures) -> Finding | None:
         """None where there is nothing to judge."""
         value = self.value(evidence)
         if value is None:
@@ -94,7 +94,7 @@ class _Aspect:
         return Finding(self.about, word, self.words(evidence), advice, mark)
 
 
-def _gap(evidence: Evidence) -> float | None:
+def _gap(evidence: ObjectFigures) -> float | None:
     if evidence.psnr is None or evidence.training_psnr is None:
         return None
     return evidence.training_psnr - evidence.psnr
@@ -104,7 +104,7 @@ def _gap_words(gap: float) -> str:
     return f"{gap:.1f} dB worse" if gap >= 0.05 else "no worse"
 
 
-def _placed(evidence: Evidence) -> float | None:
+def _placed(evidence: ObjectFigures) -> float | None:
     return evidence.placed / evidence.photos if evidence.photos else None
 
 
@@ -194,7 +194,7 @@ _ASPECTS = (
 _RANK = {"poor": 0, "fair": 1, "good": 2, None: 3}
 
 
-def judged(evidence: Evidence, *, draft: bool = False) -> Verdict:
+def judged(evidence: ObjectFigures, *, draft: bool = False) -> Verdict:
     """What the evidence says.
 
     The verdict is as bad as the worst finding. Whether the size is known is a note: it says
@@ -214,7 +214,7 @@ def judged(evidence: Evidence, *, draft: bool = False) -> Verdict:
     return Verdict(word, score, (*found, *_notes(evidence)), draft)
 
 
-def _notes(evidence: Evidence) -> list[Finding]:
+def _notes(evidence: ObjectFigures) -> list[Finding]:
     notes = []
     if not evidence.held_out:
         words = "no photo was held out: figures are of photos that it was trained with"

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from verdict_cases import Case, cases, settings_of, truth_frames, truth_root, write_case
 
-from refdgs_pipe.artifacts.evidence import Evidence
+from refdgs_pipe.artifacts.object_figures import ObjectFigures
 from refdgs_pipe.camera import Camera, opencv_from_opengl
 from refdgs_pipe.evaluation.verdict import judged
 from refdgs_pipe.metrics import psnr, rank_correlation
@@ -87,7 +87,7 @@ def score(folder: Path) -> None:
 
 
 def figures_of(case: Case, folder: Path) -> dict[str, Any]:
-    """Evidence as the stage `evaluate` gathers it, and TRUE_FIGURES."""
+    """The object's figures as the stage `evaluate` gathers it, and TRUE_FIGURES."""
     from refdgs_pipe.artifacts.appearance import Appearance
     from refdgs_pipe.artifacts.mesh import Mesh
     from refdgs_pipe.artifacts.sparse_model import SparseModel
@@ -215,9 +215,9 @@ def _value(text: str) -> Any:
         return text
 
 
-def evidence_of(row: dict[str, Any]) -> Evidence:
+def evidence_of(row: dict[str, Any]) -> ObjectFigures:
     """What a row of the table says without the truth."""
-    return Evidence(**{name: row[name] for name in Evidence.__dataclass_fields__})
+    return ObjectFigures(**{name: row[name] for name in ObjectFigures.__dataclass_fields__})
 
 
 def agreement(rows: list[dict[str, Any]]) -> dict[str, float]:

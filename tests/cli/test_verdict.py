@@ -6,7 +6,7 @@ from pathlib import Path
 import fake_stages
 import pytest
 
-from refdgs_pipe.artifacts.evidence import Evidence
+from refdgs_pipe.artifacts.object_figures import ObjectFigures
 from refdgs_pipe.cli import running
 from refdgs_pipe.cli.running import Options
 from refdgs_pipe.cli.verdict import closing_lines, is_draft, verdict_of
@@ -14,8 +14,10 @@ from refdgs_pipe.cli.workspace import Memory, Workspace, open_workspace
 from refdgs_pipe.evaluation.verdict import Verdict, judged
 from refdgs_pipe.pipeline import catalog
 
-POOR = judged(Evidence(photos=20, placed=8, psnr=12.0, training_psnr=24.0, seen=0.2, unseen=0.5))
-FAIR = judged(Evidence(photos=20, placed=20, psnr=24.0, training_psnr=24.5), draft=True)
+POOR = judged(
+    ObjectFigures(photos=20, placed=8, psnr=12.0, training_psnr=24.0, seen=0.2, unseen=0.5)
+)
+FAIR = judged(ObjectFigures(photos=20, placed=20, psnr=24.0, training_psnr=24.5), draft=True)
 
 
 @pytest.fixture

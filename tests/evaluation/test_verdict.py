@@ -7,16 +7,21 @@ import pytest
 import solids
 from scenes import Scene, Sphere, constant, gradient_sky, orbit, waves
 
-from refdgs_pipe.artifacts.evidence import Evidence
 from refdgs_pipe.artifacts.mesh import TriangleMesh
+from refdgs_pipe.artifacts.object_figures import ObjectFigures
 from refdgs_pipe.artifacts.photos import Photo
 from refdgs_pipe.artifacts.surface_map import SurfaceMap
-from refdgs_pipe.evaluation.evidence import Witness, contradicted, object_pixels, outline_apart
+from refdgs_pipe.evaluation.object_figures import (
+    Witness,
+    contradicted,
+    object_pixels,
+    outline_apart,
+)
 from refdgs_pipe.evaluation.verdict import judged
 from refdgs_pipe.evaluation.wholeness import loose_parts, open_holes
 
 UP = np.array([0.0, 0.0, 1.0])
-FINE = Evidence(
+FINE = ObjectFigures(
     photos=40,
     placed=40,
     masked=True,
@@ -75,7 +80,7 @@ def test_an_unknown_size_is_said_and_decides_nothing() -> None:
 
 
 def test_a_result_that_no_photo_shows_is_poor() -> None:
-    lost = judged(Evidence(photos=20, placed=20))
+    lost = judged(ObjectFigures(photos=20, placed=20))
     assert lost.word == "poor" and lost.findings[0].value == "no photo shows it"
 
 

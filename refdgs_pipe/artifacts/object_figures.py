@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Evidence:
+class ObjectFigures:
     """Figures that say how far to trust a result. None: there was nothing to measure it by.
 
     PSNRs are in dB over the object's pixels of sRGB-encoded pictures, means over views.

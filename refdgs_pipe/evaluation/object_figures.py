@@ -1,4 +1,4 @@
-"""The figures of Evidence: a result held against its photos, and against itself, on the object.
+"""The figures of the object: a result held against its photos, and against itself, on the object.
 
 No ground truth is looked at. Where masks say what the object is, they are believed; without masks
 the object is what the field and the mesh show of it.
@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from refdgs_pipe.artifacts.evidence import Evidence
 from refdgs_pipe.artifacts.mesh import TriangleMesh
+from refdgs_pipe.artifacts.object_figures import ObjectFigures
 from refdgs_pipe.artifacts.photos import Photo
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.surface_map import SurfaceMap
@@ -93,12 +93,12 @@ class Witness:
 
     def evidence(
         self, views: Views, model: SparseModel, textured: TexturedMesh | None, *, held_out: bool
-    ) -> Evidence:
+    ) -> ObjectFigures:
         """What all views tell together, and what the mesh tells without any."""
         holes, hole_length = open_holes(self._mesh, model.up)
         parts, part_share = loose_parts(self._mesh)
         seen, unseen = (None, None) if textured is None else seen_shares(textured)
-        return Evidence(
+        return ObjectFigures(
             photos=len(model.cameras) + len(model.lost),
             placed=len(model.cameras),
             masked=views.background != "photo",
