@@ -88,7 +88,7 @@ def test_what_the_user_should_know_is_said(run: Run, monkeypatch: pytest.MonkeyP
     (seen,) = run.warnings()
     assert "was seen by no camera" in seen
     size = run.measured("export")["size"]
-    assert "unknown: exported 2" in size and "--size" in size
+    assert "unknown: exported 0.999 m long" in size and "--size" in size
 
 
 def test_the_table_is_kept_or_not_as_asked(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
