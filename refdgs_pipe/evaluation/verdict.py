@@ -224,5 +224,5 @@ def _notes(evidence: ObjectFigures) -> list[Finding]:
         notes.append(Finding("masks", None, words, "", 1.0))
     if not evidence.metres:
         words = "size unknown: a unit is taken for a metre"
-        notes.append(Finding("size", None, words, "set export.longest, in metres", 1.0))
+        notes.append(Finding("size", None, words, "give --size METRES, or use a mat", 1.0))
     return notes

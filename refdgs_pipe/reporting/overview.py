@@ -137,7 +137,9 @@ def tiles(facts: Facts) -> Html:
     add("surfels", SurfelField, "surfels")
     add("triangles", Asset, "faces")
     add("texture", TexturedMesh, "texture size")
-    add("longest side", Asset, "size")
+    if (asset := facts.result(Asset)) and "size" in asset.measures:
+        value, remark = length_told(str(asset.measures["size"][0]))
+        found.append((f"longest side{remark}", value, ""))
     if (result := facts.result(Asset)) and result.manifest:
         files = result.manifest.files
         for name in ("asset.glb", "asset.usdz"):
@@ -147,6 +149,14 @@ def tiles(facts: Facts) -> Html:
     if seconds:
         found.append(("all stages took", duration(seconds), ""))
     return tag("div", *(_tile(*entry) for entry in found), class_="tiles")
+
+
+def length_told(told: str) -> tuple[str, str]:
+    """What export says of the size, as the value of a tile and a remark on it."""
+    if told.startswith("unknown: "):
+        return told.removeprefix("unknown: exported ").partition(" long")[0], ", size unknown"
+    value, _, remark = told.partition(", ")
+    return value, f", {remark}" if remark else ""
 
 
 def _tile(label: str, value: Content, unit: str) -> Html:

@@ -38,7 +38,9 @@ def test_the_worst_is_said_first_and_what_to_do_about_it() -> None:
     assert lines[1].startswith("  ") and ": poor, " in lines[1]
     assert "take" in lines[1]
     assert lines[4] == "  and 1 more in the report"
-    assert lines[-1] == "  size unknown: a unit is taken for a metre: set export.longest, in metres"
+    assert (
+        lines[-1] == "  size unknown: a unit is taken for a metre: give --size METRES, or use a mat"
+    )
     assert closing_lines(FAIR)[0] == "verdict: fair: a first look"
 
 

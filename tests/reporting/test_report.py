@@ -16,7 +16,7 @@ from refdgs_pipe.pipeline.store import Store
 from refdgs_pipe.reporting import asset, html, overview
 from refdgs_pipe.reporting import facts as facts_module
 from refdgs_pipe.reporting.facts import Drawing, Facts, collect
-from refdgs_pipe.reporting.overview import Reason, judge
+from refdgs_pipe.reporting.overview import Reason, judge, length_told
 from refdgs_pipe.reporting.page import SECTIONS, page, write_report
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "google-chrome", "chrome"))), None)
@@ -291,3 +291,9 @@ def test_a_browser_shows_the_page_and_the_asset(text: str, tmp_path: Path) -> No
     assert 'data-state="loaded"' in run.stdout
     said = [line for line in run.stderr.splitlines() if "CONSOLE" in line]
     assert [line for line in said if "rAF timed out" not in line] == []
+
+
+def test_the_tile_of_the_size_is_short() -> None:
+    told = "unknown: exported 1.21 m long. Give --size METRES, or use a mat"
+    assert length_told(told) == ("1.21 m", ", size unknown")
+    assert length_told("0.23 m, given") == ("0.23 m", ", given")
