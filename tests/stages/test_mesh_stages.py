@@ -67,7 +67,8 @@ def test_a_procedural_scene_becomes_files(run: Run, monkeypatch: pytest.MonkeyPa
     assert {"environment.hdr", "scene.usda"} <= names
     assert asset.faces == len(mesh.faces) and asset.texture_size == 512
     assert run.measured("clean")["faces"] == len(mesh.faces)
-    assert run.measured("unwrap")["program"] == "UVAtlas"
+    # as a whole or in parts: atlases of nearly the same worth, and meshes differ by processor
+    assert str(run.measured("unwrap")["program"]).startswith("UVAtlas")
     assert run.measured("bake")["texels seen"] > 0.98
     assert run.warnings() == []
 
