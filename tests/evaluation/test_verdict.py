@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import finished
 import numpy as np
 import pytest
 import solids
@@ -21,20 +22,7 @@ from refdgs_pipe.evaluation.verdict import judged
 from refdgs_pipe.evaluation.wholeness import loose_parts, open_holes
 
 UP = np.array([0.0, 0.0, 1.0])
-FINE = ObjectFigures(
-    photos=40,
-    placed=40,
-    masked=True,
-    psnr=32.0,
-    training_psnr=32.5,
-    asset_psnr=28.0,
-    outline=0.3,
-    depth=0.1,
-    contradicted=0.0,
-    seen=0.95,
-    unseen=0.0,
-    metres=True,
-)
+FINE = replace(finished.FINE, photos=40, placed=40, masked=True, metres=True)
 WORSE = {
     "psnr": (22.0, 10.0),
     "placed": (31, 10),
