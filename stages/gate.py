@@ -27,7 +27,7 @@ class GateParams(Params):
     )
 
 
-@stage(version=1)
+@stage(version=2)
 def gate(views: Views, placement: Placement, params: GateParams, job: Job) -> SparseModel:
     """Keep the photos whose places can be trusted; poses that came with them are kept."""
     from refdgs_pipe.sfm.gate import check_trusted, examine

@@ -31,7 +31,7 @@ class IngestParams(Params):
     chart: Literal["auto", "off"] = Field("auto", description="correct by a colour chart in sight")
 
 
-@stage(version=5, programs=("opencv-contrib-python-headless", "pillow", "rawpy", "pi-heif"))
+@stage(version=6, programs=("opencv-contrib-python-headless", "pillow", "rawpy", "pi-heif"))
 def ingest(capture: Capture, params: IngestParams, job: Job) -> Views:
     """Decode, turn upright, mask and measure every photo."""
     from refdgs_pipe.datasets.readers import read_capture

@@ -127,6 +127,7 @@ def half_placed() -> Placement:
         names=tuple(names),
         features=np.full(6, 500, np.int32),
         still=np.zeros(6),
+        moves=np.where(np.arange(6) < 5, 0.001, np.nan),
         pairs=pairs,
         matches=counts,
         inliers=np.where(known, counts, 3).astype(np.int32),

@@ -22,6 +22,8 @@ class Evidence:
         names: file names, sorted.
         features: (n,) features found in each photo.
         still: (n,) share of a photo's matches that stand still in the picture while others move.
+        moves: (n,) how far a photo's place moves when the others alone give its points, as a share
+            of its distance to them; NaN for photos without a place.
         pairs: (m, 2) rows of two photos that were matched.
         matches: (m,) features matched by their look alone.
         inliers: (m,) of these, matches that one motion between the two photos explains.
@@ -34,6 +36,7 @@ class Evidence:
     names: tuple[str, ...]
     features: I32
     still: F64
+    moves: F64
     pairs: I32
     matches: I32
     inliers: I32

@@ -22,7 +22,7 @@ from refdgs_pipe.wording import printable
 Pixels = NDArray[np.uint8] | NDArray[np.uint16]
 
 MAX_PIXELS = 300_000_000  # larger headers are refused before anything is decoded
-LARGE = 50_000_000  # pixels: such JPEGs are decoded at a fraction of their size, others alone
+LARGE = 50_000_000  # pixels: such photos are decoded one at a time
 Image.MAX_IMAGE_PIXELS = MAX_PIXELS
 _alone = threading.Lock()
 _PILLOW = {"jpeg": "JPEG", "png": "PNG", "webp": "WEBP", "tiff": "TIFF", "avif": "AVIF"}
@@ -72,8 +72,8 @@ def read_photo(path: Path, *, upright: bool = True, side: int | None = None) -> 
 
     Args:
         upright: turn the pixels as the EXIF orientation asks.
-        side: pixels that the long side needs; a JPEG of more than 50 megapixels may come smaller
-            than it is, though with at least twice as many. None: as it is.
+        side: pixels that the long side needs; a JPEG of at least four times as many may come
+            smaller than it is, with at least twice as many. None: as it is.
 
     Returns:
         (H, W, 3 or 4) sRGB-encoded, uint8, or uint16 for a 16-bit PNG or TIFF.
@@ -94,7 +94,7 @@ def read_photo(path: Path, *, upright: bool = True, side: int | None = None) -> 
                 pixels = _decode_16bit(data, header)
             else:
                 del data
-                pixels = _decode(path, header, side if is_large else None)
+                pixels = _decode(path, header, side)
     except (OSError, SyntaxError, ValueError, cv2.error) as error:
         raise CaptureError(_named(path, f"{error}. Copy it again from the card")) from None
     return orient(pixels, header.orientation) if upright else pixels

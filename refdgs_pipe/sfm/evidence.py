@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from refdgs_pipe.artifacts.placement import Evidence, Poses
 from refdgs_pipe.camera import F64
 from refdgs_pipe.geometry import robust_similarity
+from refdgs_pipe.sfm.again import Sights, moves
 
 COMMON = 5  # photos in two solutions that can be compared
 HELD_EVERY = 8
@@ -159,6 +160,7 @@ def evidence_of(
         names=names,
         features=np.array(found, np.int32),
         still=known.still,
+        moves=_moves(model, names, poses, points),
         held=np.array([pair in known.held for pair in rows], bool),
         pairs=pairs,
         matches=np.array(matches, np.int32),
@@ -167,6 +169,27 @@ def evidence_of(
         shared=shared,
         angle=angle,
     )
+
+
+def _moves(model: Any, names: tuple[str, ...], poses: dict[str, F64], points: F64) -> F64:
+    """(n,) how far the others move each photo (again.py); NaN for photos without a place."""
+    out = np.full(len(names), np.nan)
+    index = {point_id: i for i, point_id in enumerate(sorted(model.point3D_ids()))}
+    images = {model.image(i).name: model.image(i) for i in model.reg_image_ids()}
+    photo, point, rays, pixel = [], [], [np.zeros((0, 2))], []
+    for k, file in enumerate(poses):
+        camera = model.camera(images[file].camera_id)
+        seen = [p for p in images[file].points2D if p.has_point3D()]
+        xy = np.array([p.xy for p in seen], float).reshape(-1, 2)
+        rays.append(np.asarray(camera.cam_from_img(xy), float).reshape(-1, 2))
+        photo += [k] * len(seen)
+        point += [index[p.point3D_id] for p in seen]
+        pixel.append(1 / camera.mean_focal_length())
+    if poses:
+        sights = Sights(np.array(photo, int), np.array(point, int), np.concatenate(rays))
+        where = np.array([names.index(file) for file in poses])
+        out[where] = moves(np.stack(list(poses.values())), points, sights, np.array(pixel))
+    return out
 
 
 def _rays(model: Any, image: Any, keypoints: Any) -> tuple[F64, float]:

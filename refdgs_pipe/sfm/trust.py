@@ -17,6 +17,7 @@ POINTS = 15  # points of the model, each seen by three photos or more, that hold
 PARTNERS = 2  # other photos that share some of them
 SHARED = 6  # points that make a photo a partner
 AGAINST = 0.5  # of the evidence on a photo's place, what may speak against it
+MOVES = 0.02  # of its distance, by which a place may move when the other photos give its points
 FEW_FEATURES = 150  # in a photo
 FEW_SHARED = 15  # features that COLMAP needs for a pair
 
@@ -30,11 +31,13 @@ class Support:
         partners: photos that share at least six points with it.
         against: verified matches with other placed photos that its place contradicts, as a share
             of these and of the points that it shares with the same photos.
+        moves: how far its place moves when the others alone give its points, by its distance.
     """
 
     points: int
     partners: int
     against: float
+    moves: float
 
 
 def supports(poses: Poses) -> dict[str, Support]:
@@ -46,10 +49,11 @@ def supports(poses: Poses) -> dict[str, Support]:
     found = {}
     for file in poses.cam_from_world:
         points = int((times[poses.tracks[file]] >= 3).sum())
-        partners, against = len(poses.cam_from_world) - 1, 0.0
+        partners, against, moves = len(poses.cam_from_world) - 1, 0.0, 0.0
         if evidence is not None:
             partners, against = _partners_and_contradiction(evidence, file)
-        found[file] = Support(points, partners, against)
+            moves = float(evidence.moves[evidence.names.index(file)])
+        found[file] = Support(points, partners, against, moves)
     return found
 
 
@@ -100,6 +104,11 @@ def _doubt(support: Support, least: int) -> str:
             f"{support.against:.0%} of what its matches with other photos say speaks against the "
             "place that was found for it"
         )
+    if support.moves > MOVES:
+        how = f"moves it by {support.moves:.0%} of its distance"
+        if not np.isfinite(support.moves):
+            how = "cannot be done"
+        return f"its place is not certain: finding it again from what only the others see {how}"
     return ""
 
 

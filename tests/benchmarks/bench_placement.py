@@ -5,16 +5,16 @@
 The first benchmark runs ingest, sfm and gate on every capture of REFDGS_CAPTURES (folders with
 `images` and `cameras_gt.json`, with colons between; default: those with ground truth beside the
 project) in every damage, and holds the answer against the truth. A cell is wrong if it is accepted
-with places that are wrong, or refused with places that are right. Each cell is written to the
-folder REFDGS_PLACEMENT (default: a new one) when it is done; a call goes on where an earlier one
-stopped. The second runs pycolmap with its own defaults on the same files. About one minute of one
+with places that are wrong, or refused with places that are right. What was found for a cell is kept
+in the folder REFDGS_PLACEMENT (default: a new one); a call goes on where an earlier one stopped,
+and judges what is there anew. The second runs pycolmap with its own defaults on the same files. About one minute of one
 core for a cell.
 """
 
 import json
 import os
+import shutil
 import tempfile
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +27,7 @@ from captures import SHARED, Stages, needs_shared
 from PIL import Image
 
 from refdgs_pipe.artifacts.placement import Placement
+from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.child import call_in_child
 from refdgs_pipe.errors import RefdgsError
 from refdgs_pipe.geometry import robust_similarity
@@ -244,30 +245,32 @@ def _judge(
         "false_accept": accepted and not is_right,
         "false_refusal": not accepted and right >= LEAST * total,
         "rungs": [a.name for a in placement.attempts],
+        "errors": {name: round(value, 3) for name, value in of_all.items()},
         "checks": {check.name: [check.found, check.is_met] for check in judgement.checks},
     }
 
 
 def _cell(source: Source, name: str, folder: Path) -> dict[str, Any]:
-    start = time.process_time()
-    _write(source, DAMAGES[name], folder / "photos")
-    stages = Stages(folder / "work")
-    total = len(list((folder / "photos").iterdir()))
-    try:
-        views = stages.ingest(folder / "photos")
-    except RefdgsError as error:
-        refused = {
-            "photos": total,
-            "placed": 0,
-            "trusted": 0,
-            "accepted": False,
-            "said": str(error),
-        }
-        return refused | {"false_accept": False, "false_refusal": False}
-    placement = stages.run("sfm", {"views": views}, {"max_features": FEATURES})
+    """Placed once, judged at each call."""
+    if not (folder / "found").exists():
+        shutil.rmtree(folder, ignore_errors=True)
+        _write(source, DAMAGES[name], folder / "photos")
+        stages = Stages(folder / "work")
+        try:
+            views = stages.ingest(folder / "photos")
+            stages.run("sfm", {"views": views}, {"max_features": FEATURES})
+            (folder / "found").write_text("")
+        except RefdgsError as error:
+            (folder / "found").write_text(str(error))
+        shutil.rmtree(folder / "work" / ".scratch-sfm", ignore_errors=True)
+    if not (folder / "work" / "sfm" / "placement.json").exists():
+        nothing = {"photos": len(list((folder / "photos").iterdir())), "placed": 0, "trusted": 0}
+        refused = {"accepted": False, "false_accept": False, "false_refusal": False}
+        return nothing | refused | {"said": (folder / "found").read_text()}
+    views = Views.load(folder / "work" / "ingest")
+    placement = Placement.load(folder / "work" / "sfm")
     judgement = examine(views, placement, least=LEAST)
-    record = _judge(source, placement, judgement, len(views.items))
-    return record | {"seconds": time.process_time() - start}
+    return _judge(source, placement, judgement, len(views.items))
 
 
 @needs_shared
@@ -277,12 +280,10 @@ def test_damaged_captures_are_refused_or_right() -> None:
     rows = []
     for source in sources():
         for name in DAMAGES:
-            cell = out / f"{source.name}-{name.replace(' ', '_')}.json"
-            if not cell.exists():
-                with tempfile.TemporaryDirectory() as folder:
-                    record = _cell(source, name, Path(folder))
-                cell.write_text(json.dumps({"capture": source.name, "damage": name, **record}))
-            rows.append(json.loads(cell.read_text()))
+            cell = out / f"{source.name}-{name.replace(' ', '_')}"
+            record = {"capture": source.name, "damage": name, **_cell(source, name, cell)}
+            (cell / "record.json").write_text(json.dumps(record, indent=1))
+            rows.append(record)
             print(_line(rows[-1]), flush=True)
     accepts = sum(row["false_accept"] for row in rows)
     refusals = sum(row["false_refusal"] for row in rows)

@@ -48,6 +48,7 @@ def placement(centers: list[F64], points: F64 | None = None, agree: float = 0.95
         names=names,
         features=np.full(len(files), 900, np.int32),
         still=np.zeros(len(files)),
+        moves=np.full(len(files), 0.001),
         pairs=pairs.astype(np.int32),
         matches=np.full(many, 120, np.int32),
         inliers=np.full(many, 90, np.int32),
