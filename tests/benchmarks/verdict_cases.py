@@ -50,7 +50,7 @@ class Case:
         source: a scene, or "capture" for the photos of the kettle with their background.
         views: training photos that are kept; turned: degrees by which poses are wrong.
         masks: "", or how they are damaged: "wide", "narrow", "torn", "mixed", "given" (a capture).
-        settings: besides CHEAP.
+        settings: besides CHEAP; whole: without CHEAP, as a user would run it.
         like: the case whose photos and field it shares; "": it has its own.
     """
 
@@ -62,6 +62,7 @@ class Case:
     arc: float = 360.0
     recipe: str = "preview"
     settings: dict[str, Any] = field(default_factory=dict)
+    whole: bool = False
     like: str = ""
 
 
@@ -74,7 +75,11 @@ def cases() -> Iterator[Case]:
     yield _steps("spheres", 600)
     yield _steps("kettle", 40)
     yield _steps("mug", 600)
+    yield _whole("spheres", 5000)
+    yield _whole("kettle", 1500)
     yield from _of_masks()
+    yield _whole("mug", 1500)
+    yield _whole("capture", 1500)
     yield _steps("kettle", 600)
     yield _steps("spheres", 40)
     yield _steps("mug", 40)
@@ -95,6 +100,11 @@ _SHORT = {"train.iterations": 120}
 
 def _steps(scene: str, steps: int) -> Case:
     return Case(f"{scene}-{steps}", scene, settings={"train.iterations": steps})
+
+
+def _whole(source: str, steps: int) -> Case:
+    settings = {"train.iterations": steps}
+    return Case(f"{source}-whole", source, 90, recipe="glossy", settings=settings, whole=True)
 
 
 def _of_masks() -> Iterator[Case]:
@@ -137,6 +147,8 @@ def _of_settings() -> Iterator[Case]:
 
 def settings_of(case: Case) -> dict[str, Any]:
     """Every setting of a case's run that is not the recipe's."""
+    if case.whole:
+        return case.settings
     # a recipe that is no preview would look for a start for minutes
     extra = {"train.volume_steps": 0, "train.max_side": 400} if case.recipe != "preview" else {}
     wide = {"ingest.max_side": 160, "evaluate.max_side": 160} if case.source == "capture" else {}

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -36,15 +37,21 @@ def errors_in_percent(model: SparseModel) -> F64:
     return np.asarray(100 * np.linalg.norm(scale * a @ (U @ flip @ Vt).T - b, axis=1) / distance)
 
 
-def test_a_dozen_photos_find_their_places_the_same_every_time(tmp_path: Path) -> None:
+def test_a_dozen_photos_find_the_same_places_every_time_also_among_copies(tmp_path: Path) -> None:
     photos = sorted(EXAMPLE.glob("*.jpg"))[-12:]  # with 1,500 points; the first twelve find 49
     first = Stages(tmp_path / "a").sfm(Stages(tmp_path / "v").ingest(*photos), **QUICK)
     assert len(first.cameras) == 12
     assert first.up.tolist() == pytest.approx([0, 0, 1])
     assert first.ball.radius == pytest.approx(1.0)
     assert 600 < first.cameras[0].K[0, 0] < 640  # the truth is 622
-    again = Stages(tmp_path / "b").sfm(Views.load(tmp_path / "v" / "ingest"), **QUICK)
+    doubled = tmp_path / "doubled"
+    for folder in (doubled, doubled / "once more"):
+        folder.mkdir()
+        for photo in photos:
+            shutil.copyfile(photo, folder / photo.name)
+    again = Stages(tmp_path / "b").sfm(Stages(tmp_path / "w").ingest(doubled), **QUICK)
     for a, b in zip(first.cameras, again.cameras, strict=True):
+        assert a.name == b.name
         np.testing.assert_array_equal(a.cam_from_world, b.cam_from_world)
     np.testing.assert_array_equal(first.points, again.points)
 
