@@ -5,7 +5,8 @@ Equal inputs give equal poses: ids follow the names, mapping runs on one thread 
 """
 
 import shutil
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -55,66 +56,106 @@ def reconstruct(
     base.extract(database, images, masks, effort, progress, files)
     base.match(database, files, effort, progress)
     still = _without_still(database, progress)
-    best = _best(database, images, scratch / "incremental", progress, still)
-    lost = [file for file in files if file not in best.cam_from_world]
-    if lost and best.cam_from_world and len(files) > base.EXHAUSTIVE_UP_TO:
+    solver = _Solver(database, images, scratch, progress, still)
+    best = solver.anew("incremental")
+    lost = [file for file in files if file not in best.poses.cam_from_world]
+    if lost and best.poses.cam_from_world and len(files) > base.EXHAUSTIVE_UP_TO:
         pairs = [(a, b) for a in sorted(lost) for b in files if a != b]
         base.match_pairs(database, pairs, effort, progress)
-        again = _best(database, images, scratch / "again", progress, still)
-        best = max(best, again, key=standing)
-    if len(best.cam_from_world) < len(files):
-        whole = _best(database, images, scratch / "whole", progress, still, holding_out=False)
-        best = max(best, whole, key=standing)
-    if standing(best)[0] < GOOD * len(files):
-        few = _best(database, images, scratch / "few", progress, still, lenient=True)
-        best = max(best, few, key=standing)
-    if standing(best)[0] < GOOD * len(files):
+        best = max(best, solver.anew("again"), key=_standing)
+    if best.placed < len(files):
+        best = max(best, solver.anew("whole", holding_out=False), key=_standing)
+    if best.model is not None and best.placed < len(files):
+        best = max(best, solver.further(best), key=_standing)
+    if _standing(best)[0] < GOOD * len(files):
+        best = max(best, solver.anew("few", lenient=True), key=_standing)
+    poses = best.poses
+    if _standing(best)[0] < GOOD * len(files):
         progress("solving all poses at once", 0, None)
         model = mapping.all_at_once(database, images, scratch / "global")
         if model is not None:
             known = Known(still.share, frozenset())
             found = poses_of(mapping.refined(model), "global", database, known)
-            credible = standing(found)[0] >= CREDIBLE * standing(best)[0]
-            rival = deviation(best, found) if credible else None
-            best = replace(max(best, found, key=standing), rival=rival)
-    return best, _notes(still)
+            credible = standing(found)[0] >= CREDIBLE * _standing(best)[0]
+            rival = deviation(poses, found) if credible else None
+            poses = replace(max(poses, found, key=standing), rival=rival)
+    return poses, _notes(still)
 
 
-def _best(
-    database: Path,
-    images: Path,
-    folder: Path,
-    progress: OnProgress,
-    still: Still,
-    *,
-    holding_out: bool = True,
-    lenient: bool = False,
-) -> Poses:
-    """The incremental mapper's model with the most trusted photos.
+@dataclass(frozen=True)
+class _Found:
+    """One reconstruction.
 
     Args:
-        holding_out: whether some pairs are kept from the mapper, as evidence.
+        model: None where there is none.
+        part: the database that it was made of; known: the pairs that are not in it.
     """
-    count = [0]
-    total = len(still.share)
 
-    def placed(step: int) -> None:
-        count[0] += step
-        progress("placing photos", min(count[0], total), total)
+    poses: Poses
+    model: Any
+    part: Path
+    known: Known
 
-    folder.mkdir()
-    part = folder / "database.db"
-    shutil.copyfile(database, part)
-    known = Known(still.share, hold_out(part) if holding_out else frozenset())
-    models = mapping.incremental(part, images, folder, placed, lenient=lenient)
-    found = [
-        poses_of(mapping.refined(model), "incremental", database, known)
-        for model in models
-        if 2 * mapping.size(model)[0] >= mapping.size(models[0])[0]
-    ]
-    if not found:
-        return poses_of(None, "incremental", database, known)
-    return max(found, key=standing)
+    @property
+    def placed(self) -> int:
+        """How many photos have a place."""
+        return len(self.poses.cam_from_world)
+
+
+def _standing(found: _Found) -> tuple[int, int, int]:
+    return standing(found.poses)
+
+
+@dataclass(frozen=True)
+class _Solver:
+    """The incremental mapper over one database, in several ways."""
+
+    database: Path
+    images: Path
+    scratch: Path
+    progress: OnProgress
+    still: Still
+
+    def anew(self, name: str, *, holding_out: bool = True, lenient: bool = False) -> _Found:
+        """The reconstruction with the most trusted photos, from nothing.
+
+        Args:
+            name: of a folder.
+            holding_out: whether some pairs are kept from the mapper, as evidence.
+        """
+        folder = self.scratch / name
+        folder.mkdir()
+        part = folder / "database.db"
+        shutil.copyfile(self.database, part)
+        known = Known(self.still.share, hold_out(part) if holding_out else frozenset())
+        told = self._placing(0)
+        models = mapping.incremental(part, self.images, folder, told, lenient=lenient)
+        large = [m for m in models if 2 * mapping.size(m)[0] >= mapping.size(models[0])[0]]
+        found = [self._found(mapping.refined(model), part, known) for model in large]
+        return max(found, key=_standing) if found else self._found(None, part, known)
+
+    def further(self, found: _Found) -> _Found:
+        """The same with more photos, each placed by fewer matches than usual."""
+        folder = self.scratch / "further"
+        folder.mkdir()
+        told = self._placing(found.placed)
+        models = mapping.incremental(
+            found.part, self.images, folder, told, lenient=True, start=found.model
+        )
+        return self._found(models[0], found.part, found.known) if models else found
+
+    def _found(self, model: Any, part: Path, known: Known) -> _Found:
+        return _Found(poses_of(model, "incremental", self.database, known), model, part, known)
+
+    def _placing(self, placed: int) -> Callable[[int], None]:
+        """Tells how many photos have a place so far."""
+        count, total = [placed], len(self.still.share)
+
+        def told(step: int) -> None:
+            count[0] += step
+            self.progress("placing photos", min(count[0], total), total)
+
+        return told
 
 
 def _without_still(database: Path, progress: OnProgress) -> Still:

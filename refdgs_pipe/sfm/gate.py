@@ -21,8 +21,12 @@ from refdgs_pipe.sfm.trust import conflict, groups, reasons
 BRIDGE = 10  # points that have to hold two groups of photos together
 FARTHER = 5.0  # times the median distance, or as many times nearer: not of the same capture
 ASIDE = 1.25  # of the angle from the axis to the photo's corner, beyond which the object lies
-CONFLICT = 0.5  # of the matches between placed photos that may contradict the places
+CONFLICT = 0.6  # of the matches between placed photos that may contradict the places
+HELD_CONFLICT = 0.75  # in the pairs that the mapper did not get; they are few
 HELD_PAIRS = 5
+CLOSE_DEG = 10.0  # between the rays of two photos that should look nearly alike
+CLOSE_PAIRS = 5
+CLOSE_SHARE = 0.09  # of the features in the one with fewer, that such photos share
 APART = 0.1  # of the photos' distance from their middle, between two solutions
 BALL_POINTS = 30  # points in the object ball, each seen by three photos
 BALL_PHOTOS = 0.5  # of the photos that have to see some of them
@@ -95,7 +99,7 @@ def examine(views: Views, placement: Placement, *, least: float) -> Judgement:
     if model is not None and poses is not None:
         if evidence is not None:
             checks.append(_agreeing(conflict(evidence)))
-            checks += _held_out(evidence)
+            checks += [*_held_out(evidence), *_alike(evidence)]
         if poses.rival is not None:
             checks.append(_two_solutions(poses.rival))
         if evidence is not None:
@@ -233,10 +237,37 @@ def _held_out(evidence: Evidence) -> list[Check]:
         return []
     share = conflict(evidence, held=True)
     found = (
-        f"{share:.0%} in {count} pairs that were kept for this, at most {CONFLICT:.0%} are usual"
+        f"{share:.0%} in {count} pairs that were kept for this, at most {HELD_CONFLICT:.0%} are "
+        "usual"
     )
     advice = _agreeing(share).advice
-    return [Check("contradicting matches in pairs held out", found, share <= CONFLICT, advice)]
+    return [Check("contradicting matches in pairs held out", found, share <= HELD_CONFLICT, advice)]
+
+
+def _alike(evidence: Evidence) -> list[Check]:
+    """Photos that were placed close together share many features, if they were taken there.
+
+    Equal sides of an object put photos of different sides into one place, where all matches agree;
+    what is not equal has no match (Zach, Irschara and Bischof 2008: missing correspondences).
+    """
+    a, b = evidence.pairs.T
+    close = (evidence.angle < CLOSE_DEG) & (evidence.shared >= BRIDGE)
+    close &= ~np.isnan(evidence.agree)
+    if close.sum() < CLOSE_PAIRS:
+        return []
+    moving = evidence.features * (1 - evidence.still)
+    fewer = np.maximum(np.minimum(moving[a], moving[b]), 1.0)[close]
+    share = float(np.median((evidence.inliers * evidence.agree)[close] / fewer))
+    return [
+        Check(
+            "features shared by photos with nearly the same place",
+            f"{share:.0%} in {int(close.sum())} pairs, {CLOSE_SHARE:.0%} are needed",
+            share >= CLOSE_SHARE,
+            "Photos of different sides seem to lie in one place: the object or its surroundings "
+            "repeat. Put something that is not repeated on the ground beside the object, and take "
+            "more photos in between",
+        )
+    ]
 
 
 def _two_solutions(apart: float) -> Check:

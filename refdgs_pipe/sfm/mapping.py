@@ -26,10 +26,12 @@ def incremental(
     placed: Callable[[int], None],
     *,
     lenient: bool = False,
+    start: Any = None,
 ) -> list[Any]:
     """All reconstructions of the incremental mapper, best first: most photos, then points.
 
     Args:
+        start: a reconstruction that it goes on from.
         folder: for what it writes; placed: hears how many photos each step placed.
         lenient: for photos that share few features, as on a turntable whose background is left
             out: fewer matches place a photo, points that two photos see count, and the lens keeps
@@ -48,7 +50,13 @@ def incremental(
         options.triangulation.ignore_two_view_tracks = False
         options.ba_refine_extra_params = options.mapper.abs_pose_refine_extra_params = False
         options.mapper.abs_pose_refine_focal_length = False
+    given = ""
+    if start is not None:
+        given = str(folder / "start")
+        (folder / "start").mkdir()
+        start.write(given)
     found = pycolmap.incremental_mapping(
+        input_path=given,
         database_path=database,
         image_path=images,
         output_path=folder,

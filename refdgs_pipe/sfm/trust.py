@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from refdgs_pipe.artifacts.placement import Evidence, Poses
 from refdgs_pipe.camera import F64
+from refdgs_pipe.sfm.cuts import contradicted_group
 
 POINTS = 15  # points of the model, each seen by three photos or more, that hold a place
 PARTNERS = 2  # other photos that share some of them
@@ -59,11 +60,8 @@ def supports(poses: Poses) -> dict[str, Support]:
 
 def trusted(poses: Poses) -> list[str]:
     """The files whose places are trusted; those that features did not give are not questioned."""
-    if poses.evidence is None:
-        return list(poses.cam_from_world)
-    least = min(PARTNERS, len(poses.cam_from_world) - 1)
-    found = supports(poses)
-    return [f for f, support in found.items() if f in poses.by_mat or not _doubt(support, least)]
+    doubts = _doubts(poses)
+    return [file for file in poses.cam_from_world if file not in doubts]
 
 
 def standing(poses: Poses) -> tuple[int, int, int]:
@@ -80,17 +78,34 @@ def reasons(
         evidence: of the poses, or what is known where there are none.
         said: file name -> the photo's name for people.
     """
-    found = {} if poses is None else supports(poses)
-    least = min(PARTNERS, len(found) - 1)
+    doubts = {} if poses is None else _doubts(poses)
+    placed = {} if poses is None else poses.cam_from_world
     out = {}
     for file in said:
-        if file not in found:
+        if file not in placed:
             out[file] = _why_unplaced(evidence, file, said)
-        elif poses is not None and poses.evidence is not None and file not in poses.by_mat:
-            doubt = _doubt(found[file], least)
-            if doubt:
-                out[file] = doubt
+        elif file in doubts:
+            out[file] = doubts[file]
     return out
+
+
+def _doubts(poses: Poses) -> dict[str, str]:
+    """File name -> why its place is not trusted: by itself, or with the group it belongs to."""
+    if poses.evidence is None:
+        return {}
+    least = min(PARTNERS, len(poses.cam_from_world) - 1)
+    found = {f: _doubt(s, least) for f, s in supports(poses).items() if f not in poses.by_mat}
+    doubts = {file: why for file, why in found.items() if why}
+    left = [file for file, why in found.items() if not why]
+    while cut := contradicted_group(poses.evidence, left):
+        others = f" and {len(cut.files) - 1} others" if len(cut.files) > 1 else ""
+        why = (
+            f"{cut.against:.0%} of the matches between it{others} and the rest contradict the "
+            "places"
+        )
+        doubts |= dict.fromkeys(cut.files, why)
+        left = [file for file in left if file not in doubts]
+    return doubts
 
 
 def _doubt(support: Support, least: int) -> str:

@@ -5,10 +5,10 @@
 The first benchmark runs ingest, sfm and gate on every capture of REFDGS_CAPTURES (folders with
 `images` and `cameras_gt.json`, with colons between; default: those with ground truth beside the
 project) in every damage, and holds the answer against the truth. A cell is wrong if it is accepted
-with places that are wrong, or refused with places that are right. What was found for a cell is kept
-in the folder REFDGS_PLACEMENT (default: a new one); a call goes on where an earlier one stopped,
-and judges what is there anew. The second runs pycolmap with its own defaults on the same files. About one minute of one
-core for a cell.
+with places that are wrong, or refused with places that are right. What was found for a cell is
+kept in the folder REFDGS_PLACEMENT (default: a new one); a call goes on where an earlier one
+stopped, and judges what is there anew. The second runs pycolmap with its own defaults on the same
+files. About one minute of one core for a cell.
 """
 
 import json
