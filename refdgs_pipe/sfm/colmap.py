@@ -189,6 +189,8 @@ def _without_still(database: Path, progress: OnProgress) -> Still:
 
 def _features(keypoints: Any) -> Features:
     """COLMAP's keypoints x, y and an affine shape, as pixels and orientation."""
+    if not len(keypoints):
+        return Features(np.zeros((0, 2), np.float32), np.zeros(0, np.float32))
     data = np.asarray(keypoints, np.float32).reshape(len(keypoints), -1)
     if data.shape[1] < 6:
         turn = data[:, 3] if data.shape[1] == 4 else np.zeros(len(data), np.float32)

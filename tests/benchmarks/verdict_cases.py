@@ -75,7 +75,7 @@ def cases() -> Iterator[Case]:
     yield _steps("spheres", 600)
     yield _steps("kettle", 40)
     yield _steps("mug", 600)
-    yield _whole("spheres", 5000)
+    yield _whole("spheres", 2500)
     yield _whole("kettle", 1500)
     yield from _of_masks()
     yield _whole("mug", 1500)
