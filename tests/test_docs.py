@@ -14,7 +14,7 @@ from refdgs_pipe.cli.running import DEGRADED
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text("utf-8")
-DOCS = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
+DOCS = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 def readme_commands() -> list[str]:
@@ -57,7 +57,7 @@ def test_the_readme_names_every_recipe() -> None:
     assert all(name in README for name in recipe.names())
 
 
-@pytest.mark.parametrize("document", DOCS, ids=lambda path: path.name)
+@pytest.mark.parametrize("document", DOCS, ids=lambda path: path.relative_to(ROOT).as_posix())
 def test_what_a_document_links_or_runs_is_there(document: Path) -> None:
     text = document.read_text("utf-8")
     links = re.findall(r"\]\(([^)#:]+)\)", text)
