@@ -14,8 +14,8 @@ from refdgs_pipe.camera import F64
 
 LEAST_ANGLE = np.radians(1.5)  # between the other photos' rays to a point
 LEAST_POINTS = 6  # that place a photo
-ROUNDS = 15
 OUTLIER_PX = 2.0  # misses beyond this weigh less (Huber)
+NEAREST = 0.01  # of the median depth: a trial place does not come nearer to a point
 
 
 @dataclass(frozen=True)
@@ -35,15 +35,18 @@ class Sights:
 def moves(cam_from_world: F64, points: F64, sights: Sights, pixel: F64) -> F64:
     """How far each photo's place moves when the other photos alone give its points.
 
-    Points come from the rays' nearest place in the least squares sense, weighted by distance;
-    places from Gauss-Newton steps on the misses in the picture with Huber's weights.
+    A point lies where the rays of the other photos come nearest to each other in the least squares
+    sense, each weighted by the inverse square of its length. A photo's place minimises the misses
+    in its picture under Huber's loss.
 
     Args:
-        cam_from_world: (k, 4, 4); points: (P, 3); pixel: (k,) size of a pixel at z = 1.
+        cam_from_world: (k, 4, 4); points: (P, 3), any unit of length.
+        sights: the points that each photo sees.
+        pixel: (k,) size of a pixel in the image at z = 1.
 
     Returns:
         (k,) shift of the centre as a share of the median distance to the points; infinite where
-        the other photos do not give enough points.
+        the other photos give too few points, or put most of them behind the camera.
     """
     R, t = cam_from_world[:, :3, :3], cam_from_world[:, :3, 3]
     centers = -np.einsum("kji,kj->ki", R, t)
@@ -65,10 +68,12 @@ def moves(cam_from_world: F64, points: F64, sights: Sights, pixel: F64) -> F64:
         total = w[sights.point[mine]] - weight[mine]
         flat = np.linalg.eigvalsh(rest)[:, 0] if len(mine) else np.zeros(0)
         good = flat > total * (1 - np.cos(LEAST_ANGLE)) / 2
-        if good.sum() < LEAST_POINTS:
-            continue
         mine, rest = mine[good], rest[good]
         others = np.linalg.solve(rest, (b[sights.point[mine]] - onto[mine])[:, :, None])[:, :, 0]
+        before = others @ R[k, 2] + t[k, 2] > 0
+        if before.sum() < max(LEAST_POINTS, len(mine) / 2):
+            continue
+        mine, others = mine[before], others[before]
         pose = _placed(cam_from_world[k], others, sights.ray[mine], OUTLIER_PX * pixel[k])
         center = -pose[:3, :3].T @ pose[:3, 3]
         found[k] = np.linalg.norm(center - centers[k]) / np.median(away[mine])
@@ -76,45 +81,25 @@ def moves(cam_from_world: F64, points: F64, sights: Sights, pixel: F64) -> F64:
 
 
 def _placed(cam_from_world: F64, points: F64, ray: F64, outlier: float) -> F64:
-    """(4, 4) the pose from which these points are seen along these rays, from a first guess."""
-    pose = cam_from_world.copy()
-    damping, best = 1e-3, np.inf
-    trial = pose
-    for _ in range(ROUNDS):
-        x = points @ trial[:3, :3].T + trial[:3, 3]
-        depth = np.maximum(x[:, 2], 1e-6)
-        miss = x[:, :2] / depth[:, None] - ray
-        size = np.linalg.norm(miss, axis=1)
-        cost = np.where(size < outlier, size**2 / 2, outlier * (size - outlier / 2)).sum()
-        if cost < best:
-            best, pose, damping = cost, trial, damping / 4
-            weight = np.minimum(1.0, outlier / np.maximum(size, 1e-12))
-            J = np.zeros((len(x), 2, 6))  # left perturbation: turn, then shift
-            inv = 1 / depth
-            J[:, 0, 3] = J[:, 1, 4] = inv
-            J[:, 0, 5], J[:, 1, 5] = -x[:, 0] * inv**2, -x[:, 1] * inv**2
-            J[:, :, :3] = -np.einsum("nij,njk->nik", J[:, :, 3:], _cross(x))
-            H = np.einsum("nij,n,nik->jk", J, weight, J)
-            g = np.einsum("nij,n,ni->j", J, weight, miss)
-        else:
-            damping *= 10
-        step = -np.linalg.solve(H + damping * np.diag(np.diag(H)) + 1e-12 * np.eye(6), g)
-        trial = _moved(pose, step)
-    return pose
+    """(4, 4) the pose from which these points are seen along these rays, from a first guess.
 
-
-def _cross(x: F64) -> F64:
-    """(n, 3, 3) matrices with `_cross(x) @ v = x x v`."""
-    zero = np.zeros(len(x))
-    rows = [zero, -x[:, 2], x[:, 1], x[:, 2], zero, -x[:, 0], -x[:, 1], x[:, 0], zero]
-    return np.stack(rows, 1).reshape(-1, 3, 3)
-
-
-def _moved(pose: F64, step: F64) -> F64:
+    Args:
+        outlier: misses beyond this, in units of the image at z = 1, weigh less.
+    """
     import cv2
+    from scipy.optimize import least_squares
 
-    out = np.eye(4)
-    turn = cv2.Rodrigues(step[:3])[0]
-    out[:3, :3] = turn @ pose[:3, :3]
-    out[:3, 3] = turn @ pose[:3, 3] + step[3:]
-    return out
+    there = points @ cam_from_world[:3, :3].T + cam_from_world[:3, 3]
+    nearest = NEAREST * float(np.median(there[:, 2]))
+
+    def moved(step: F64) -> F64:
+        out = np.eye(4)
+        out[:3, :3], out[:3, 3] = cv2.Rodrigues(step[:3])[0], step[3:]
+        return out
+
+    def misses(step: F64) -> F64:
+        x = there @ moved(step)[:3, :3].T + step[3:]
+        return np.asarray((x[:, :2] / np.maximum(x[:, 2:], nearest) - ray).ravel())
+
+    found = least_squares(misses, np.zeros(6), loss="huber", f_scale=outlier, x_scale="jac")
+    return np.asarray(moved(found.x) @ cam_from_world)

@@ -58,7 +58,8 @@ def contradicted_group(evidence: Evidence, files: list[str]) -> Cut | None:
 def weakest_cut(weights: F64) -> NDArray[np.bool_]:
     """(n,) the two sides of the cut of least conductance along the Fiedler vector.
 
-    Spectral partitioning of the normalised Laplacian (Shi and Malik 2000).
+    Spectral partitioning of the normalised Laplacian (Shi and Malik 2000). The first row's side is
+    False: an eigenvector's sign is not determined.
 
     Args:
         weights: (n, n) symmetric, not negative, zero on the diagonal.
@@ -73,4 +74,4 @@ def weakest_cut(weights: F64) -> NDArray[np.bool_]:
     conductance = (volume - within) / np.minimum(volume, degree.sum() - volume)
     out = np.zeros(len(weights), bool)
     out[order[: int(conductance.argmin()) + 1]] = True
-    return out
+    return out ^ out[0]

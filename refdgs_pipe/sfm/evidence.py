@@ -160,7 +160,7 @@ def evidence_of(
         names=names,
         features=np.array(found, np.int32),
         still=known.still,
-        moves=_moves(model, names, poses, points),
+        moves=_moves(model, placed, names, poses, points),
         held=np.array([pair in known.held for pair in rows], bool),
         pairs=pairs,
         matches=np.array(matches, np.int32),
@@ -171,15 +171,20 @@ def evidence_of(
     )
 
 
-def _moves(model: Any, names: tuple[str, ...], poses: dict[str, F64], points: F64) -> F64:
-    """(n,) how far the others move each photo (again.py); NaN for photos without a place."""
+def _moves(
+    model: Any, placed: dict[str, Any], names: tuple[str, ...], poses: dict[str, F64], points: F64
+) -> F64:
+    """(n,) how far the others move each photo (again.py); NaN for photos without a place.
+
+    Args:
+        placed: file name -> COLMAP's image, for the files of `poses`.
+    """
     out = np.full(len(names), np.nan)
     index = {point_id: i for i, point_id in enumerate(sorted(model.point3D_ids()))}
-    images = {model.image(i).name: model.image(i) for i in model.reg_image_ids()}
     photo, point, rays, pixel = [], [], [np.zeros((0, 2))], []
     for k, file in enumerate(poses):
-        camera = model.camera(images[file].camera_id)
-        seen = [p for p in images[file].points2D if p.has_point3D()]
+        camera = model.camera(placed[file].camera_id)
+        seen = [p for p in placed[file].points2D if p.has_point3D()]
         xy = np.array([p.xy for p in seen], float).reshape(-1, 2)
         rays.append(np.asarray(camera.cam_from_img(xy), float).reshape(-1, 2))
         photo += [k] * len(seen)

@@ -99,7 +99,7 @@ def examine(views: Views, placement: Placement, *, least: float) -> Judgement:
     if model is not None and poses is not None:
         if evidence is not None:
             checks.append(_agreeing(conflict(evidence)))
-            checks += [*_held_out(evidence), *_alike(evidence)]
+            checks += [*_held_out(evidence), *_alike(evidence, set(lost))]
         if poses.rival is not None:
             checks.append(_two_solutions(poses.rival))
         if evidence is not None:
@@ -244,15 +244,20 @@ def _held_out(evidence: Evidence) -> list[Check]:
     return [Check("contradicting matches in pairs held out", found, share <= HELD_CONFLICT, advice)]
 
 
-def _alike(evidence: Evidence) -> list[Check]:
-    """Photos that were placed close together share many features, if they were taken there.
+def _alike(evidence: Evidence, lost: set[str]) -> list[Check]:
+    """Whether photos that were placed close together share features, as neighbours do.
 
-    Equal sides of an object put photos of different sides into one place, where all matches agree;
-    what is not equal has no match (Zach, Irschara and Bischof 2008: missing correspondences).
+    Where an object has equal sides, photos of different sides can get the same place. All their
+    matches agree, but what differs between the sides has no match (missing correspondences: Zach,
+    Irschara and Bischof 2008).
+
+    Args:
+        lost: files whose places are not trusted; their pairs do not count.
     """
     a, b = evidence.pairs.T
+    kept = np.array([name not in lost for name in evidence.names])
     close = (evidence.angle < CLOSE_DEG) & (evidence.shared >= BRIDGE)
-    close &= ~np.isnan(evidence.agree)
+    close &= kept[a] & kept[b] & ~np.isnan(evidence.agree)
     if close.sum() < CLOSE_PAIRS:
         return []
     moving = evidence.features * (1 - evidence.still)

@@ -31,11 +31,11 @@ def incremental(
     """All reconstructions of the incremental mapper, best first: most photos, then points.
 
     Args:
-        start: a reconstruction that it goes on from.
         folder: for what it writes; placed: hears how many photos each step placed.
         lenient: for photos that share few features, as on a turntable whose background is left
             out: fewer matches place a photo, points that two photos see count, and the lens keeps
             its distortion, for there is too little to tell it from.
+        start: a reconstruction to go on from; None begins anew.
     """
     options = pycolmap.IncrementalPipelineOptions()
     options.num_threads = options.mapper.num_threads = 1

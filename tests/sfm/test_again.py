@@ -59,3 +59,10 @@ def test_points_that_one_other_photo_sees_tell_nothing() -> None:
     two = (sights.photo == 0) | (sights.photo == 1)
     pair = Sights(*(a[two] for a in (sights.photo, sights.point, sights.ray)))
     assert np.isinf(moves(poses, points, pair, PIXEL)).all()
+
+
+def test_points_behind_a_camera_do_not_confirm_its_place() -> None:
+    """A photo that looks the other way from its place: every point lies behind it."""
+    poses, points, sights = scene()
+    poses[4, :3] = np.diag([1.0, -1.0, -1.0]) @ poses[4, :3]
+    assert np.isinf(moves(poses, points, sights, PIXEL)[4])
