@@ -74,4 +74,4 @@ def weakest_cut(weights: F64) -> NDArray[np.bool_]:
     conductance = (volume - within) / np.minimum(volume, degree.sum() - volume)
     out = np.zeros(len(weights), bool)
     out[order[: int(conductance.argmin()) + 1]] = True
-    return out ^ out[0]
+    return np.asarray(out != out[0])
