@@ -6,6 +6,7 @@ from typing import Literal
 from pydantic import Field
 
 from refdgs_pipe.artifacts.appearance import Appearance
+from refdgs_pipe.artifacts.masks import Masks
 from refdgs_pipe.artifacts.mesh import Mesh
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.surfel_field import SurfelField
@@ -28,6 +29,7 @@ def appearance(
     mesh: Mesh,
     field: SurfelField,
     views: Views,
+    masks: Masks,
     model: SparseModel,
     params: AppearanceParams,
     job: Job,
@@ -39,7 +41,7 @@ def appearance(
     from refdgs_pipe.training.environment import typical_light
     from refdgs_pipe.training.render import render_surface_map
 
-    model = model.placed(field.poses)
+    views, model = masks.applied(views, model.names), model.placed(field.poses)
     tolerance = params.tolerance * 2 * model.ball.radius
     if not field.shader.reflection:
         return matte(mesh, lift=tolerance / 2)

@@ -3,6 +3,7 @@
 from pydantic import Field, field_validator
 
 from refdgs_pipe.artifacts.appearance import Appearance
+from refdgs_pipe.artifacts.masks import Masks
 from refdgs_pipe.artifacts.mesh import UvMesh
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.surfel_field import SurfelField
@@ -34,6 +35,7 @@ def bake(
     field: SurfelField,
     model: SparseModel,
     views: Views,
+    masks: Masks,
     params: BakeParams,
     job: Job,
 ) -> TexturedMesh:
@@ -55,6 +57,6 @@ def bake(
         job.warn(f"{unseen} was seen by no camera; its colours are filled in from beside it")
     if not params.refine or looks.environment is None:
         return textured
-    cameras = model.training_cameras
+    views, cameras = masks.applied(views, model.names), model.training_cameras
     photos = (load_photo(views, model, c) for c in job.track(cameras, "comparing with photos"))
     return refined(textured, looks.environment, photos, near=tolerance, count=len(cameras))

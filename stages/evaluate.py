@@ -7,6 +7,7 @@ from pydantic import Field
 
 from refdgs_pipe.artifacts.appearance import Appearance
 from refdgs_pipe.artifacts.capture import Capture
+from refdgs_pipe.artifacts.masks import Masks
 from refdgs_pipe.artifacts.mesh import Mesh
 from refdgs_pipe.artifacts.scores import Scores
 from refdgs_pipe.artifacts.sparse_model import SparseModel
@@ -31,6 +32,7 @@ class EvaluateParams(Params):
 def evaluate(
     capture: Capture,
     views: Views,
+    masks: Masks,
     model: SparseModel,
     field: SurfelField,
     mesh: Mesh,
@@ -50,6 +52,7 @@ def evaluate(
     maps = partial(render_surface_map, field, device=job.device, threads=job.threads)
     lpips = load_lpips(params.lpips_weights, params.lpips_digest)
     protocol = Protocol(params.max_side, lpips, lambda c: job.track(c, "comparing views"))
+    views = masks.applied(views, model.names)
     subject = Subject(views, model.placed(field.poses), mesh, capture.layout().root, textured)
     scores = score(subject, Drawing(picture, maps, relit(textured, looks)), protocol)
     for name, value, unit in scores.headlines():

@@ -2,6 +2,7 @@
 
 from functools import partial
 
+from refdgs_pipe.artifacts.masks import Masks
 from refdgs_pipe.artifacts.mesh import Mesh
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.surfel_field import SurfelField
@@ -13,8 +14,10 @@ LEAST_OVERLAP = 0.6  # of masks and field
 LEAST_FILL = 0.02  # of the object ball's disc, where there are no masks
 
 
-@stage(version=7, programs=("pymeshlab", "open3d-cpu"))
-def train(views: Views, model: SparseModel, params: TrainParams, job: Job) -> SurfelField:
+@stage(version=8, programs=("pymeshlab", "open3d-cpu"))
+def train(
+    views: Views, masks: Masks, model: SparseModel, params: TrainParams, job: Job
+) -> SurfelField:
     """Optimise geometry, local reflection and background surfels and the shader."""
     import torch
 
@@ -27,6 +30,7 @@ def train(views: Views, model: SparseModel, params: TrainParams, job: Job) -> Su
         draw = partial(render_surface_map, field, device=job.device, threads=job.threads)
         return own_surface(model.placed(field.poses), draw, track=job.track, stop=job.stop)
 
+    views = masks.applied(views, model.names)
     looking = partial(job.progress, "looking for a start")
     torch.set_num_threads(job.threads)
     if job.device == "cuda":

@@ -1,6 +1,7 @@
 """Photos as the cameras of a sparse model see them: undistorted, sRGB, at any smaller size."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -48,7 +49,7 @@ def load_photo(views: Views, model: SparseModel, camera: Camera, *, scale: float
     view = views[camera.name]
     rgb = _unit(read_png(views.image_path(view)))
     mask_path = views.mask_path(view)
-    mask = None if mask_path is None else _unit(read_png(mask_path))
+    mask = None if mask_path is None else _mask(mask_path, rgb)
     valid = np.ones(rgb.shape[:2], np.float32)
     if views.background == "removed" and mask is not None:
         rgb = rgb * mask[..., None]  # resampling mixes premultiplied colour
@@ -65,6 +66,16 @@ def load_photo(views: Views, model: SparseModel, camera: Camera, *, scale: float
         rgb = np.divide(rgb, mask[..., None], out=np.zeros_like(rgb), where=mask[..., None] > 1e-3)
     rgb = srgb_from_linear(rgb) if views.color_space == "linear" else np.clip(rgb, 0, 1)
     return Photo(camera.resized(*size), rgb, mask, valid > 0.999)
+
+
+def _mask(path: Path, rgb: F32) -> F32:
+    """(H, W) a mask at its photo's size; one that a user brought may be coloured or smaller."""
+    mask = _unit(read_png(path))
+    plain = mask if mask.ndim == 2 else mask[..., :3].max(axis=2)
+    if plain.shape != rgb.shape[:2]:
+        size = (rgb.shape[1], rgb.shape[0])
+        plain = np.asarray(cv2.resize(plain, size, interpolation=cv2.INTER_LINEAR), np.float32)
+    return np.ascontiguousarray(plain)
 
 
 def _unit(pixels: NDArray[np.uint8] | NDArray[np.uint16]) -> F32:

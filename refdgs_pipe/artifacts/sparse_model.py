@@ -69,6 +69,11 @@ class SparseModel:
     lost: tuple[Lost, ...]
 
     @property
+    def names(self) -> list[str]:
+        """Of the posed views."""
+        return [camera.name for camera in self.cameras]
+
+    @property
     def training_cameras(self) -> list[Camera]:
         """Those that are not held out; all of them where every one is."""
         return [c for c in self.cameras if c.split == "train"] or list(self.cameras)

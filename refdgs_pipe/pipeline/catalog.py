@@ -11,6 +11,7 @@ STAGES = (
     "ingest",
     "sfm",
     "gate",
+    "masks",
     "train",
     "extract",
     "clean",

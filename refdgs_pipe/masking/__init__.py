@@ -1,0 +1,1 @@
+"""The object's masks from the photos themselves: no network, no strokes."""

@@ -1,0 +1,101 @@
+"""Where a photo shows the room: what its neighbours see there, far behind the object.
+
+For pixels beside the plane the depth of the background is not known. Among depths behind the
+object there is one at which other photos show the same, if the pixel is background (plane sweep,
+Collins 1996); where they show nothing like it at any, the pixel is something else.
+"""
+
+import numpy as np
+
+from refdgs_pipe.artifacts.sparse_model import Ball
+from refdgs_pipe.camera import F64
+from refdgs_pipe.masking.shots import F32, Bools, Shot, box_around, homography_warp
+from refdgs_pipe.masking.table import LIMIT, Evidence, alike, smooth
+
+NEIGHBOURS = 5
+LEAST_DEG, MOST_DEG = 7.0, 50.0  # between the directions to neighbours
+DEPTHS = 28
+MARGIN = 0.5  # of what is covered, that is judged round it
+BEHIND = 1.3  # radii of the ball behind its centre, where the background begins
+STRANGE, MOST_STRANGE = 0.5, 0.4  # evidence, and the share of the surroundings
+EVEN = 0.6  # likeness that speaks for neither
+
+
+def shown_room(shots: list[Shot], ball: Ball, cover: list[Bools]) -> list[Evidence]:
+    """The evidence of whole photos near the object.
+
+    Args:
+        cover: (H, W) where each photo may show the object.
+    """
+    centers = np.stack([shot.camera.center for shot in shots]) - ball.center
+    units = centers / np.linalg.norm(centers, axis=1, keepdims=True)
+    angles = np.degrees(np.arccos(np.clip(units @ units.T, -1, 1)))
+    out = []
+    for i, shot in enumerate(shots):
+        value = np.zeros(shot.valid.shape, np.float32)
+        known = np.zeros(shot.valid.shape, bool)
+        box = box_around(cover[i], MARGIN)
+        order = np.argsort(np.where(angles[i] > LEAST_DEG, angles[i], 999))[:NEIGHBOURS]
+        near = [int(j) for j in order if LEAST_DEG < angles[i, j] < MOST_DEG]
+        if box is not None and len(near) >= 2:
+            first = float(np.linalg.norm(centers[i])) + BEHIND * ball.radius
+            left, right, top, bottom = box
+            part = (slice(top, bottom), slice(left, right))
+            value[part], known[part] = _judged(shots, i, near, cover, box, 1 / first)
+        out.append(Evidence(value, known))
+    if _moves(out, cover):  # a turntable: the room turns about what is fixed in the poses
+        return [Evidence(np.zeros_like(e.value), np.zeros_like(e.known)) for e in out]
+    return out
+
+
+def _moves(evidence: list[Evidence], cover: list[Bools]) -> bool:
+    """Whether even what shows no object is mostly like nothing that other photos see."""
+    beside = [e.value[e.known & ~c] for e, c in zip(evidence, cover, strict=True)]
+    values = np.concatenate(beside)
+    return bool(len(values)) and float((values < -STRANGE).mean()) > MOST_STRANGE
+
+
+def _judged(
+    shots: list[Shot],
+    i: int,
+    near: list[int],
+    cover: list[Bools],
+    box: tuple[int, ...],
+    most: float,
+) -> tuple[F32, Bools]:
+    """Evidence and whether it is known (h, w), for a box of photo i."""
+    left, right, top, bottom = box
+    width, height = right - left, bottom - top
+    logs = np.ascontiguousarray(shots[i].logs[top:bottom, left:right])
+    best = np.full((height, width), -1.0, np.float32)
+    told = np.zeros((height, width), np.float32)
+    for inverse in np.linspace(0, most, DEPTHS):
+        likes = []
+        for j in near:
+            H = _through_plane(shots[i], shots[j], float(inverse)) @ _shift(left, top)
+            other = homography_warp(shots[j].logs, H, width, height, 9.0)
+            free = (shots[j].valid & ~cover[j]).astype(np.float32)
+            clear = homography_warp(free, H, width, height, 0.0)
+            seen = ((clear > 0.99) & (other[..., 0] < 8)).astype(np.float32)
+            like = smooth(alike(logs, other) * seen, 1.3) / (smooth(seen, 1.3) + 1e-3)
+            likes.append(np.where(seen > 0, like, -1))
+        ranked = np.sort(np.stack(likes), 0)[-2:]
+        two = ranked[0] >= 0
+        best = np.where(two, np.maximum(best, ranked.mean(0)), best)
+        told += two / np.float32(DEPTHS)
+    known = best >= 0
+    missed = 0.9 * np.clip(1.5 * told - 0.5, 0, 1)  # no depth matches, if most could be tried
+    value = 3.5 * (best - EVEN) * np.where(best > EVEN, 1.2, missed)
+    return np.where(known, value, 0).clip(-LIMIT, LIMIT).astype(np.float32), known
+
+
+def _through_plane(one: Shot, other: Shot, inverse: float) -> F64:
+    """(3, 3) from a photo to another by a plane of constant depth 1 / inverse."""
+    R = other.camera.cam_from_world[:3, :3] @ one.camera.cam_from_world[:3, :3].T
+    t = other.camera.cam_from_world[:3, 3] - R @ one.camera.cam_from_world[:3, 3]
+    moved = R + np.outer(t, [0, 0, inverse])
+    return np.asarray(other.camera.K @ moved @ np.linalg.inv(one.camera.K))
+
+
+def _shift(left: float, top: float) -> F64:
+    return np.array([[1, 0, left], [0, 1, top], [0, 0, 1.0]])

@@ -1,0 +1,125 @@
+"""The solid that all masks agree on, as cells, and its silhouettes."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.ndimage import label
+
+from refdgs_pipe.artifacts.sparse_model import Ball
+from refdgs_pipe.camera import F64
+from refdgs_pipe.masking.shots import Bools, Shot
+
+REACH = 1.1  # radii of the ball that the cells cover
+SHOWN = 0.6  # share of the photos that must show a cell
+KNOWN = 0.2  # share of the photos that must know whether a cell is empty
+PIECE = 0.03  # of the largest piece's cells: smaller ones go
+
+
+@dataclass(frozen=True)
+class Cells:
+    """A grid of n cells along each axis around the ball.
+
+    Args:
+        points: (n ** 3, 3) centres, world.
+        inside: (n ** 3,) which lie in the ball, and not below the plane.
+        size: a cell's edge, world units.
+    """
+
+    n: int
+    points: F64
+    inside: Bools
+    size: float
+
+
+def grid(ball: Ball, normal: F64, offset: float, n: int) -> Cells:
+    """Cells of the ball above the plane normal . x = offset."""
+    size = 2 * REACH * ball.radius / n
+    ticks = (np.arange(n) + 0.5) * size - REACH * ball.radius
+    place = np.stack(np.meshgrid(ticks, ticks, ticks, indexing="ij"), -1).reshape(-1, 3)
+    points = ball.center + place
+    near = np.linalg.norm(place, axis=1) < REACH * ball.radius
+    return Cells(n, points, near & (points @ normal - offset > -0.5 * size), size)
+
+
+def agreed(
+    cells: Cells,
+    shots: list[Shot],
+    free: list[Bools],
+    known: list[Bools],
+    normal: F64,
+    *,
+    deny: float,
+) -> Bools:
+    """(n ** 3,) the cells that few photos deny, without small pieces.
+
+    What no photo can tell of stays only above what is known to be solid.
+
+    Args:
+        free: (H, W) where each photo may show the object; known: (H, W) where it can tell.
+        normal: (3,) unit, of the plane below.
+        deny: share of the photos that can tell, which may deny a cell.
+    """
+    index = np.flatnonzero(cells.inside)
+    points = cells.points[index]
+    seen, told, denied = (np.zeros(len(index), np.int32) for _ in range(3))
+    for shot, may, can in zip(shots, free, known, strict=True):
+        uv, depth = shot.camera.project(points)
+        left, _, top, _ = shot.box
+        u, v = uv[:, 0] + left, uv[:, 1] + top
+        shown = (depth > 0) & (u >= 0) & (v >= 0) & (u < shot.whole[0]) & (v < shot.whole[1])
+        height, width = may.shape
+        within = shown & (uv >= 0).all(1) & (uv < (width, height)).all(1)
+        column, row = np.where(within[:, None], uv, 0).astype(np.int64).T
+        tells = np.where(within, can[row, column], shown)
+        seen += shown
+        told += tells
+        denied += tells & ~(within & may[row, column])
+    shown_enough = seen >= SHOWN * len(shots)
+    sure = told >= KNOWN * len(shots)
+    solid = shown_enough & sure & (denied <= deny * told)
+    if solid.any():
+        solid |= shown_enough & ~sure & (denied <= deny * told) & _above(points, solid, normal)
+    out = np.zeros(len(cells.points), bool)
+    out[index[solid]] = True
+    return _without_crumbs(out, cells.n)
+
+
+def _above(points: F64, solid: Bools, normal: F64) -> Bools:
+    """Which points lie over the round footprint of the solid ones."""
+    flat = points - (points @ normal)[:, None] * normal
+    middle = flat[solid].mean(0)
+    reach = np.linalg.norm(flat - middle, axis=1)
+    return np.asarray(reach <= np.quantile(reach[solid], 0.98))
+
+
+def _without_crumbs(solid: Bools, n: int) -> Bools:
+    pieces, count = label(solid.reshape(n, n, n))
+    if count < 2:
+        return solid
+    sizes = np.bincount(pieces.ravel())[1:]
+    kept = np.flatnonzero(sizes >= PIECE * sizes.max()) + 1
+    return np.asarray(np.isin(pieces, kept).ravel())
+
+
+def silhouette(cells: Cells, solid: Bools, shot: Shot) -> Bools:
+    """(H, W) where a photo shows the solid."""
+    height, width = shot.valid.shape
+    out = np.zeros((height, width), np.uint8)
+    uv, depth = shot.camera.project(cells.points[solid])
+    use = (depth > 0) & (uv >= 0).all(1) & (uv < (width, height)).all(1)
+    if not use.any():
+        return out > 0
+    column, row = uv[use].astype(np.int64).T
+    out[row, column] = 1
+    gap = int(np.ceil(0.65 * cells.size * shot.camera.K[0, 0] / float(depth[use].mean())))
+    padded = np.pad(out, 2 * gap + 1)
+    closed = cv2.morphologyEx(padded, cv2.MORPH_CLOSE, np.ones((2 * gap + 1,) * 2, np.uint8))
+    inner = slice(2 * gap + 1, -(2 * gap + 1))
+    return np.asarray(closed[inner, inner] > 0)
+
+
+def pixels_of(length: float, shot: Shot, center: F64) -> float:
+    """How many pixels a length at the object spans."""
+    distance = float(np.linalg.norm(shot.camera.center - center))
+    return float(length * shot.camera.K[0, 0] / distance)

@@ -1,0 +1,256 @@
+"""What the plane that the object stands on looks like, and where each photo shows it.
+
+Photos of a textured plane agree on it wherever nothing stands in front of it. A picture of the
+plane that most photos agree on, drawn from each photo's place, says for every pixel whether the
+photo shows the plane there, or something else. A reflection does not agree, whatever it shows.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from refdgs_pipe.artifacts.sparse_model import Ball
+from refdgs_pipe.camera import F64, Camera
+from refdgs_pipe.masking.shots import F32, Bools, Shot, homography_warp
+
+TOLERANCES = (0.25, 0.15)  # of log colour, within which photos agree: at first, then
+CANDIDATES = 12  # photos whose colour is proposed where it is not known who sees the plane
+GAIN_PIXELS = 8000
+SPREAD = 0.04  # of log colour, about the true one
+TEXTURE = 0.12  # of log brightness, by which a place is fully textured
+LIMIT = 3.0  # of the evidence of one pixel
+BINS = (-1.0, 0.15, 0.35, 0.6, 0.85, 1.01)  # of texture, each judged by its own misses
+MISSES = 0.12  # share of the plane's own pixels that may be taken for something else
+MOST_MISSED = 1.6  # of evidence, that the misses may take
+TYPICAL = 1.5  # evidence of the plane's own pixels, at least
+LEAST_PIXELS = 500
+
+
+@dataclass(frozen=True)
+class Ground:
+    """A plane in the world, with axes: x = origin + s a + t b.
+
+    Args:
+        radius: how far the picture reaches from the origin, world units.
+    """
+
+    origin: F64
+    a: F64
+    b: F64
+    radius: float
+
+    @classmethod
+    def under(cls, ball: Ball, normal: F64, offset: float, radius: float) -> "Ground":
+        """The plane normal . x = offset, with the origin below the ball's centre."""
+        other = np.array([1.0, 0, 0]) if abs(normal[0]) < 0.9 else np.array([0, 1.0, 0])
+        a = np.cross(normal, other)
+        a /= np.linalg.norm(a)
+        origin = ball.center - (normal @ ball.center - offset) * normal
+        return cls(origin, a, np.cross(normal, a), radius)
+
+    def homography(self, camera: Camera, cells: int) -> F64:
+        """(3, 3) from the picture's coordinates to the photo's, both with centres at +0.5."""
+        step = 2 * self.radius / cells
+        corner = self.origin - self.radius * (self.a + self.b)
+        columns = np.stack([self.a * step, self.b * step, corner])
+        P = camera.K @ camera.cam_from_world[:3]
+        return np.asarray(P @ np.concatenate([columns, [[0], [0], [1]]], 1).T)
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Of one photo: whether it shows what lies behind the object.
+
+    Args:
+        value: (H, W) log odds that it does; 0 where nothing is known.
+        known: (H, W) whether anything is known.
+    """
+
+    value: F32
+    known: Bools
+
+
+class Table:
+    """A picture of the plane, in log colour, and each photo's brightness on it.
+
+    Args:
+        cells: along an edge of the picture.
+    """
+
+    def __init__(self, ground: Ground, cells: int, gains: F32 | None, count: int) -> None:
+        self.ground, self.cells = ground, cells
+        place = (np.mgrid[0:cells, 0:cells] + 0.5) / cells * 2 - 1
+        y, x = place * ground.radius
+        basis = [np.ones_like(x), x, y, x * x, x * y, y * y]
+        self._basis = np.stack(basis, -1).astype(np.float32)
+        self.gains = np.zeros((count, 6), np.float32) if gains is None else gains.copy()
+        self.colour = np.zeros((cells, cells, 3), np.float32)
+        self.share = np.zeros((cells, cells), np.float32)
+
+    def found(self, shots: list[Shot], hidden: list[Bools] | None = None) -> "Table":
+        """Find the picture.
+
+        Args:
+            hidden: (H, W) where each photo shows the object for sure; None at first.
+        """
+        if hidden is None:
+            seen = self._seen(shots, None)
+            level = np.array([np.nanmedian(s) for s in seen])
+            shift = level - np.median(level)
+            self.gains[:, 0] = np.where(np.abs(shift) > 0.1, shift, 0)
+            for tolerance in TOLERANCES:
+                seen = self._seen(shots, None)
+                self._agree(seen, tolerance)
+                self._fit_gains(seen)
+            return self
+        seen = self._seen(shots, hidden)
+        count = np.isfinite(seen[..., 0]).sum(0)
+        self.colour = torch.from_numpy(seen).nanmedian(0).values.numpy()
+        near = (np.abs(seen - self.colour).max(-1) < TOLERANCES[-1]).sum(0)
+        enough = np.clip((count - 1.5) / max(2.0, 0.06 * len(shots)), 0, 1)
+        self.share = np.asarray(near / np.maximum(count, 1) * enough, np.float32)
+        self._fit_gains(seen)
+        return self
+
+    def _seen(self, shots: list[Shot], hidden: list[Bools] | None) -> F32:
+        """(N, n, n, 3) the plane as each photo shows it; NaN where it does not."""
+        n = self.cells
+        out = np.empty((len(shots), n, n, 3), np.float32)
+        for i, shot in enumerate(shots):
+            shown = shot.valid if hidden is None else shot.valid & ~hidden[i]
+            logs = np.where(shown[..., None], shot.logs, np.float32(np.nan))
+            H = self.ground.homography(shot.camera, n)
+            flat = homography_warp(logs, H, n, n, np.nan)
+            y, x = np.mgrid[0:n, 0:n] + 0.5
+            flat[H[2, 0] * x + H[2, 1] * y + H[2, 2] <= 1e-9] = np.nan
+            out[i] = flat - (self._basis @ self.gains[i])[..., None]
+        return out
+
+    def _agree(self, seen: F32, tolerance: float) -> None:
+        """The colour near which most photos are, and how large a share of them that is."""
+        stack = torch.from_numpy(seen)
+        pick = np.linspace(0, len(seen) - 1, min(CANDIDATES, len(seen))).round().astype(int)
+        best = torch.full(stack.shape[1:3], -1)
+        colour = torch.full(stack.shape[1:], torch.nan)
+        for i in pick:
+            votes = torch.zeros(stack.shape[1:3], dtype=torch.long)
+            for other in stack:
+                votes += (other - stack[i]).abs().amax(-1) < tolerance
+            better = (votes > best) & ~stack[i, ..., 0].isnan()
+            best = torch.where(better, votes, best)
+            colour = torch.where(better[..., None], stack[i], colour)
+        near = (stack - colour).abs().amax(-1) < tolerance
+        count = near.sum(0)
+        mean = torch.where(near[..., None], stack, 0).sum(0) / count.clamp(min=1)[..., None]
+        self.colour = torch.where(count[..., None] > 0, mean, torch.nan).numpy()
+        seen_by = (~stack[..., 0].isnan()).sum(0)
+        self.share = (count / seen_by.clamp(min=1)).float().numpy()
+
+    def _fit_gains(self, seen: F32) -> None:
+        """How much brighter each photo is: a quadratic over the plane, outliers left out."""
+        for i, one in enumerate(seen):
+            apart = (one - self.colour).mean(-1)
+            use = np.isfinite(apart) & (self.share > 0.3) & (np.abs(apart) < 0.3)
+            X, y = self._basis[use], apart[use]
+            if len(y) < 300:
+                continue
+            thin = max(1, len(y) // GAIN_PIXELS)
+            X, y = X[::thin], y[::thin]
+            for _ in range(3):
+                fit = np.linalg.lstsq(X, y, rcond=None)[0]
+                miss = np.abs(y - X @ fit)
+                keep = miss < max(0.03, 2 * float(np.median(miss)))
+                X, y = X[keep], y[keep]
+            self.gains[i] += fit.astype(np.float32)
+
+    def drawn(self, i: int, shot: Shot) -> tuple[F32, F32]:
+        """(H, W, 3) the plane as photo i would show it, NaN where it has none; (H, W) its share."""
+        camera = shot.camera
+        H = self.ground.homography(camera, self.cells)
+        back = np.linalg.inv(H)
+        size = (camera.width, camera.height)
+        colour = self.colour + (self._basis @ self.gains[i])[..., None]
+        picture = homography_warp(colour.astype(np.float32), back, *size, np.nan)
+        share = homography_warp(self.share, back, *size, 0.0)
+        y, x = np.mgrid[0 : size[1], 0 : size[0]] + 0.5
+        u, v, w = (back[k, 0] * x + back[k, 1] * y + back[k, 2] for k in range(3))
+        behind = (H[2, 0] * u + H[2, 1] * v) / np.where(w == 0, 1e-12, w) + H[2, 2] <= 0
+        picture[behind] = np.nan
+        share[behind] = 0
+        return picture, share
+
+
+def shown_plane(
+    table: Table, shots: list[Shot], reference: list[Bools] | None, *, seldom: tuple[float, float]
+) -> list[Evidence]:
+    """The evidence of all photos, so that the plane's own pixels count as seen.
+
+    What is doubtful where the plane is certain (blurred print, a grazing view) is doubtful
+    elsewhere as well: for each degree of texture, the misses over the reference set the zero.
+
+    Args:
+        reference: (H, W) where each photo shows no object for sure; None takes everything.
+        seldom: share of the photos that agree on a place: from nothing known to fully known.
+    """
+    judged = [_judged(shot, *table.drawn(i, shot)) for i, shot in enumerate(shots)]
+    low, high = seldom
+    values, textures, shares = ([j[k] for j in judged] for k in range(3))
+    certain = [share > 0.6 for share in shares]
+    if reference is not None:
+        certain = [c & r for c, r in zip(certain, reference, strict=True)]
+    for first, last in zip(BINS, BINS[1:], strict=False):
+        within = [(t > first) & (t <= last) for t in textures]
+        sample = np.concatenate([v[c & w] for v, c, w in zip(values, certain, within, strict=True)])
+        if len(sample) < LEAST_PIXELS:
+            continue
+        zero = float(np.clip(np.quantile(sample, MISSES), 0, MOST_MISSED))
+        typical = float(np.median(sample)) - zero
+        scale = np.clip(TYPICAL / max(typical, 1e-3), 1, 5)
+        for value, where in zip(values, within, strict=True):
+            value[where] = scale * (value[where] - zero)
+    out = []
+    for value, share in zip(values, shares, strict=True):
+        sure = np.clip((share - low) / (high - low), 0, 1)
+        other = np.clip((share - high) / (0.8 - high), 0, 1)  # against a plane that all agree on
+        steep = np.where(value < 0, value.clip(-TYPICAL) * other, value.clip(None, LIMIT) * sure)
+        out.append(Evidence(np.asarray(steep, np.float32), share > low))
+    return out
+
+
+def _judged(shot: Shot, picture: F32, share: F32) -> tuple[F32, F32, NDArray[np.float32]]:
+    """Evidence, texture and share (H, W) of one photo."""
+    share = np.where(np.isfinite(picture[..., 0]), share, 0).astype(np.float32)
+    picture = np.nan_to_num(picture)
+    likeness = alike(shot.logs, picture)
+    agree, texture = same_texture(shot.logs.mean(-1), picture.mean(-1))
+    value = 3.5 * (smooth(likeness, 1.3) - 0.45) + 3 * texture * np.clip(agree - 0.35, -0.6, 0.6)
+    return value.astype(np.float32), texture, share
+
+
+def alike(logs: F32, picture: F32) -> F32:
+    """(H, W) 0 to 1: how well colours agree, if the picture may be misplaced by a pixel."""
+    kernel = np.ones((3, 3), np.uint8)
+    low, high = cv2.erode(picture, kernel), cv2.dilate(picture, kernel)
+    placed = np.maximum(np.maximum(low - logs, logs - high), 0).max(-1)
+    straight = np.abs(logs - picture).max(-1)
+    miss = 0.5 * placed + 0.25 * np.minimum(straight, 3 * placed + 0.1)
+    return np.asarray(np.exp(-0.5 * (miss / SPREAD) ** 2), np.float32)
+
+
+def same_texture(one: F32, other: F32) -> tuple[F32, F32]:
+    """(H, W) normalised correlation over a few pixels, and 0 to 1 how textured `other` is."""
+    m1, m2 = smooth(one, 1.8), smooth(other, 1.8)
+    v1 = smooth(one * one, 1.8) - m1 * m1
+    v2 = smooth(other * other, 1.8) - m2 * m2
+    both = smooth(one * other, 1.8) - m1 * m2
+    agree = both / np.sqrt(np.maximum(v1, 1e-4) * np.maximum(v2, 1e-4))
+    texture = np.clip(np.sqrt(np.maximum(v2, 0)) / TEXTURE, 0, 1)
+    return agree.astype(np.float32), texture.astype(np.float32)
+
+
+def smooth(image: F32, sigma: float) -> F32:
+    """(H, W) blurred, sigma in pixels."""
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma), np.float32)

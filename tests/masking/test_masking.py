@@ -1,0 +1,204 @@
+"""Masks that are found in the photos: a textured table, an object on it, and photos all round."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+
+from refdgs_pipe.artifacts.masks import Masks
+from refdgs_pipe.artifacts.sparse_model import Ball, SparseModel
+from refdgs_pipe.artifacts.views import Exif, View, Views
+from refdgs_pipe.camera import Camera, Lens
+from refdgs_pipe.errors import CorruptError, InputError
+from refdgs_pipe.masking.cut import cut
+from refdgs_pipe.masking.files import distorted, write_masks
+from refdgs_pipe.masking.rounds import agreement, object_masks
+from refdgs_pipe.masking.shots import Shot
+from refdgs_pipe.masking.solid import agreed, grid, silhouette
+
+BALL = Ball(np.array([0.0, 0.0, 0.45]), 1.0)
+UP = np.array([0.0, 0.0, 1.0])
+CENTER, RADIUS = np.array([0.0, 0.0, 0.42]), 0.42
+SIZE = (200, 150)
+
+
+def camera(i: int, count: int) -> Camera:
+    """One of a ring at two heights, 3.2 away."""
+    around, up = 2 * np.pi * i / count, np.radians(28 if i % 2 else 50)
+    eye = 3.2 * np.array([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)])
+    forward = (BALL.center - eye) / np.linalg.norm(BALL.center - eye)
+    right = np.cross(forward, UP)
+    right /= np.linalg.norm(right)
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward])
+    pose[:3, 3] = -pose[:3, :3] @ eye
+    K = np.array([[200.0, 0, SIZE[0] / 2], [0, 200.0, SIZE[1] / 2], [0, 0, 1]])
+    return Camera(f"IMG_{i:02d}", *SIZE, K, pose)
+
+
+def print_at(places: np.ndarray) -> np.ndarray:
+    """(N, 3) sRGB of a printed table at (N, 2): blots of random size and colour."""
+    random = np.random.default_rng(3)
+    blots = cv2.resize(random.random((60, 60, 3)), (600, 600), interpolation=cv2.INTER_CUBIC)
+    index = np.clip((places / 8 + 0.5) * 600, 0, 599).astype(int)
+    return np.asarray(blots[index[:, 1], index[:, 0]].clip(0.05, 0.95))
+
+
+def photographed(shot: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """(H, W, 3) sRGB and (H, W) truth: a mirror ball on a printed table, below a striped sky."""
+    rays = shot.pixel_rays().reshape(-1, 3) @ shot.cam_from_world[:3, :3]
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    origin = np.broadcast_to(shot.center, rays.shape)
+    offset = shot.center - CENTER
+    b = rays @ offset
+    root = b * b - (offset @ offset - RADIUS**2)
+    hit = root > 0
+    points = origin + (-b - np.sqrt(np.maximum(root, 0)))[:, None] * rays
+    normals = (points - CENTER) / RADIUS
+    mirrored = rays - 2 * (rays * normals).sum(1, keepdims=True) * normals
+    start = np.where(hit[:, None], points, origin)
+    along = np.where(hit[:, None], mirrored, rays)
+    down = along[:, 2] < -1e-3
+    t = np.where(down, -start[:, 2] / np.where(down, along[:, 2], -1), 0)
+    table = print_at((start + t[:, None] * along)[:, :2].clip(-3.9, 3.9))
+    stripes = 0.5 + 0.4 * np.sin(9 * np.arctan2(along[:, 1], along[:, 0]))
+    sky = np.stack([stripes, 0.6 * np.ones_like(stripes), 1 - 0.5 * stripes], -1)
+    rgb = np.where(down[:, None], table, sky) * np.where(hit[:, None], [0.8, 0.75, 0.7], 1)
+    return rgb.reshape(*SIZE[::-1], 3), hit.reshape(SIZE[::-1])
+
+
+@pytest.fixture(scope="module")
+def capture(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> tuple[Views, SparseModel, list[np.ndarray]]:
+    """Twenty photos of a mirror ball on a printed table, and their true masks."""
+    folder = tmp_path_factory.mktemp("ball")
+    cameras = [camera(i, 20) for i in range(20)]
+    items, truth = [], []
+    for one in cameras:
+        rgb, mask = photographed(one)
+        Image.fromarray(np.rint(255 * rgb).astype(np.uint8)).save(folder / f"{one.name}.png")
+        items.append(
+            View(
+                one.name, f"{one.name}.png", *SIZE, None, "train", Exif(), 1.0, 0.5, None, one.name
+            )
+        )
+        truth.append(mask)
+    lens = Lens(cameras[0].K, np.zeros(8))
+    model = SparseModel(
+        tuple(cameras),
+        {one.name: lens for one in cameras},
+        np.zeros((0, 3)),
+        np.zeros((0, 3), np.uint8),
+        {},
+        BALL,
+        UP,
+        np.eye(4),
+        None,
+        (),
+    )
+    return Views(folder, tuple(items), "srgb", "photo"), model, truth
+
+
+def overlap(one: np.ndarray, other: np.ndarray) -> float:
+    return float((one & other).sum() / max((one | other).sum(), 1))
+
+
+def test_a_mirror_ball_on_a_printed_table_is_found(
+    capture: tuple[Views, SparseModel, list[np.ndarray]],
+) -> None:
+    views, model, truth = capture
+    found = object_masks(views, model, (UP, 0.0), lambda done, total: None)
+    assert found is not None
+    shares = [overlap(m > 0.5, t) for m, t in zip(found.masks, truth, strict=True)]
+    assert np.mean(shares) > 0.93
+    assert min(shares) > 0.85
+    assert agreement(found)[0] > 0.9
+
+
+def test_an_empty_table_has_no_masks(
+    capture: tuple[Views, SparseModel, list[np.ndarray]], tmp_path: Path
+) -> None:
+    views, model, _ = capture
+    for one in model.cameras:
+        rays = one.pixel_rays().reshape(-1, 3) @ one.cam_from_world[:3, :3]
+        t = one.center[2] / np.maximum(-rays[:, 2], 1e-3)
+        rgb = print_at((one.center + t[:, None] * rays)[:, :2].clip(-3.9, 3.9))
+        pixels = np.rint(255 * rgb.reshape(*SIZE[::-1], 3)).astype(np.uint8)
+        Image.fromarray(pixels).save(tmp_path / f"{one.name}.png")
+    found = object_masks(replace(views, folder=tmp_path), model, (UP, 0.0), lambda a, b: None)
+    assert found is None or agreement(found)[0] < 0.9
+
+
+def test_the_cut_follows_the_edge_between_uncertain_pixels() -> None:
+    rgb = np.zeros((40, 40, 3), np.float32)
+    rgb[:, 20:] = 1
+    evidence = np.zeros((40, 40), np.float32)
+    evidence[:, :12], evidence[:, 28:] = -2, 2
+    inside = cut(evidence, rgb, weight=0.5) > 0.5
+    assert inside[5:35, :20].all()
+    assert not inside[5:35, 20:].any()
+
+
+def test_a_cell_that_photos_deny_is_not_solid() -> None:
+    cells = grid(BALL, UP, 0.0, 32)
+    shots = []
+    for i in range(8):
+        one = camera(i, 8)
+        nothing = np.zeros((*SIZE[::-1], 3), np.float32)
+        shots.append(Shot(one, nothing, np.ones(SIZE[::-1], bool), (0, SIZE[0], 0, SIZE[1]), SIZE))
+    truth = [photographed(shot.camera)[1] for shot in shots]
+    known = [np.ones_like(t) for t in truth]
+    solid = agreed(cells, shots, truth, known, UP, deny=0.0)
+    distance = np.linalg.norm(cells.points - CENTER, axis=1)
+    assert solid[distance < RADIUS - 2 * cells.size].all()
+    assert not solid[distance > 1.6 * RADIUS].any()
+    shown = silhouette(cells, solid, shots[0])
+    assert overlap(shown, truth[0]) > 0.85
+
+
+def test_masks_are_written_as_the_lens_drew_the_photo(
+    capture: tuple[Views, SparseModel, list[np.ndarray]], tmp_path: Path
+) -> None:
+    views, model, truth = capture
+    one = model.cameras[0]
+    lens = Lens(one.K, np.array([0.2, 0, 0, 0, 0, 0, 0, 0.0]))
+    bent = distorted(truth[0].astype(np.float32), one, lens, *SIZE)
+    edge = np.argwhere(bent > 0.5)[0][::-1] + 0.5
+    straight = cv2.undistortPoints(edge.reshape(1, 1, 2), lens.K, lens.distortion, P=one.K)[0, 0]
+    column, row = np.floor(straight).astype(int)
+    near = truth[0][row - 2 : row + 3, column - 2 : column + 3]
+    assert near.any() and not near.all()
+    write_masks(tmp_path, views, model, [t.astype(np.float32) for t in truth])
+    masks = Masks(tmp_path, tuple(model.names), "found")
+    used = masks.applied(views, model.names)
+    assert used.background == "masked"
+    stored = cv2.imread(str(used.mask_path(used.items[0])), cv2.IMREAD_UNCHANGED)
+    assert overlap(stored > 127, truth[0]) == 1.0
+
+
+def test_masks_are_kept_and_damage_is_said(tmp_path: Path) -> None:
+    Masks(tmp_path, (), "none", "no plane").save(tmp_path)
+    assert Masks.load(tmp_path) == Masks(tmp_path, (), "none", "no plane")
+    (tmp_path / "masks.json").write_text("{}")
+    with pytest.raises(CorruptError, match="masks.json"):
+        Masks.load(tmp_path)
+
+
+def test_a_folder_of_masks_is_adopted_and_a_missing_one_is_named(
+    capture: tuple[Views, SparseModel, list[np.ndarray]], tmp_path: Path
+) -> None:
+    views, model, truth = capture
+    with pytest.raises(InputError, match="folder"):
+        Masks.adopt(tmp_path / "none")
+    with pytest.raises(InputError, match="no PNG"):
+        Masks.adopt(tmp_path)
+    for name, mask in zip(model.names[1:], truth[1:], strict=True):
+        Image.fromarray(mask).save(tmp_path / f"{name}.png")
+    masks = Masks.adopt(tmp_path)
+    with pytest.raises(InputError, match=model.names[0]):
+        masks.applied(views, model.names)
+    assert masks.applied(views, model.names[1:]).background == "masked"
