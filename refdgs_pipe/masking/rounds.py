@@ -1,12 +1,12 @@
 """The object's masks, by rounds of evidence, cuts and the solid that they agree on."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
-from refdgs_pipe.artifacts.sparse_model import Ball, SparseModel
+from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import F64
 from refdgs_pipe.masking.beyond import shown_room
@@ -22,11 +22,8 @@ from refdgs_pipe.masking.shots import (
     resized,
     whole_shots,
 )
-from refdgs_pipe.masking.solid import Cells, agreed, grid, pixels_of, silhouette
+from refdgs_pipe.masking.solid import agreed, grid, pixels_of, silhouette
 from refdgs_pipe.masking.table import Evidence, Ground, Table, shown_plane, smooth
-
-TELLING = 0.6  # evidence below which a photo cannot tell whether a cell is empty
-SURE = 4.0  # evidence against what cannot be the object
 
 
 @dataclass(frozen=True)
@@ -34,39 +31,54 @@ class Level:
     """One size of working.
 
     Args:
-        side: longest side of the photos, pixels; cells: of the plane's picture; solid: cells.
-        denials: for each round the share of the photos that may deny a cell; none makes no solid.
+        side: longest side of the photos, pixels.
+        cells: along an edge of the plane's picture.
+        solid: cells along an edge of the solid's grid.
+        denials: for each round the share of the photos that may deny a cell.
+        margin: round the object that photos are cut to, a share of its size.
+        growth: cells by which a mask is widened before it denies.
     """
 
     side: int
     cells: int
     solid: int
     denials: tuple[float, ...]
-    margin: float = 0.2
+    margin: float
+    growth: float
 
 
-LEVELS = (Level(200, 256, 64, (0.25, 0.15)), Level(400, 384, 96, (0.08, 0.06), 0.5))
-LAST = Level(1024, 512, 0, ())
-FINE_CELLS = 160
-FINE_DENIALS = (0.06, 0.04)
+LEVELS = (
+    Level(200, 256, 64, (0.25, 0.15), 0.0, 0.9),
+    Level(400, 384, 96, (0.08, 0.06), 0.5, 0.9),
+)
+LAST = Level(1024, 512, 160, (0.06, 0.04), 0.2, 0.5)
+TELLING = 0.6  # evidence below which the room cannot tell whether a cell is empty
+SURE = 4.0  # evidence against what cannot be the object
 WIDE = 2.2  # radii of the ball that the plane's picture reaches at first
 NARROW = 1.9  # reaches of the solid, later
 BAND = 0.02  # of a photo's longer side: how far an outline may be off
-COLOUR, PRIOR, WEIGHT = 0.5, 0.75, 0.4
+COLOUR, PRIOR = 0.5, 0.75  # of the evidence: colours, and the solid's silhouette
+INNER = 0.3  # of the silhouette's prior inside, at last
+WEIGHT = 0.4  # of the evidence against the outline, for a pixel of a photo 400 pixels long
+FREE = 0.3  # of a mask, above which it denies nothing
+LEAST_CELLS = 50
+FIRST_SELDOM, SELDOM = (0.25, 0.5), (0.1, 0.4)
 
 
-@dataclass
+@dataclass(frozen=True)
 class Found:
-    """What is known between rounds, for whole photos of any size.
+    """What is known of the object after a round, for whole photos at any size.
 
     Args:
-        masks: (h, w) in [0, 1]; outlines: (h, w) bool; room: beside the plane.
+        masks: (h, w) in [0, 1] for each camera of the model.
+        outlines: (h, w) the silhouettes of the solid.
+        room: evidence beside the plane; None before it is looked for.
+        reach: of the solid from the ball's centre along the plane, world units.
     """
 
     masks: list[F32]
     outlines: list[Bools]
     room: list[Evidence] | None
-    gains: F32 | None
     reach: float
 
 
@@ -75,17 +87,18 @@ def object_masks(
     model: SparseModel,
     plane: tuple[F64, float],
     progress: Callable[[int, int], None],
-    watch: Callable[[str, Found], None] | None = None,
 ) -> Found | None:
     """Masks of what stands on a plane, or None where nothing is found.
 
+    Each round tells from the plane, the room and the colours what each pixel shows, cuts every
+    photo, and keeps of the solid what few photos deny.
+
     Args:
         plane: unit normal and offset, world.
+        progress: told the rounds done and their number; may raise.
     """
-    normal, offset = plane
     found: Found | None = None
-    total = sum(len(level.denials) for level in LEVELS) + 1
-    done = 0
+    total, done = sum(len(level.denials) for level in LEVELS) + 1, 0
     for level in LEVELS:
         worker = _Worker(views, model, plane, level, found)
         for deny in level.denials:
@@ -94,169 +107,10 @@ def object_masks(
             done += 1
             if found is None:
                 return None
-            if watch is not None:
-                watch(f"{level.side} {deny}", found)
+        if found is not None and found.room is None:
+            found = worker.with_room(found)
     progress(done, total)
-    assert found is not None
-    worker = _Worker(views, model, plane, LAST, found)
-    return worker.final(found, grid(model.ball, normal, offset, FINE_CELLS))
-
-
-class _Worker:
-    def __init__(
-        self,
-        views: Views,
-        model: SparseModel,
-        plane: tuple[F64, float],
-        level: Level,
-        found: Found | None,
-    ) -> None:
-        self.normal, self.offset = plane
-        self.level, self.ball = level, model.ball
-        self.inner = 1.0 if level.denials else 0.3
-        whole = whole_shots(views, model, level.side)
-        self.weight = WEIGHT * min(1.0, 400 / max(whole[0].whole))
-        if found is None:
-            self.shots = whole
-        else:
-            self.shots = []
-            for shot, outline in zip(whole, found.outlines, strict=True):
-                large = resized(outline.astype(np.float32), *shot.whole) > 0.5
-                box = box_around(large, level.margin)
-                self.shots.append(shot if box is None else cut_to(shot, box))
-        reach = WIDE * model.ball.radius if found is None else NARROW * found.reach
-        ground = Ground.under(self.ball, self.normal, self.offset, reach)
-        gains = None
-        self.table = Table(ground, level.cells, gains, len(self.shots))
-        self.cells = grid(self.ball, self.normal, self.offset, level.solid) if level.solid else None
-        self.band = [max(2, round(BAND * max(shot.whole))) for shot in self.shots]
-
-    def evidence(self, found: Found | None) -> tuple[list[F32], list[Bools]]:
-        """(H, W) log odds of background, and where anything is known."""
-        if found is None:
-            ground = shown_plane(self.table.found(self.shots), self.shots, None, seldom=(0.25, 0.5))
-        else:
-            outlines = self.parts([o.astype(np.float32) for o in found.outlines])
-            solid = [grown(o > 0.5, -b) for o, b in zip(outlines, self.band, strict=True)]
-            clear = [~grown(o > 0.5, 2 * b) for o, b in zip(outlines, self.band, strict=True)]
-            table = self.table.found(self.shots, solid)
-            ground = shown_plane(table, self.shots, clear, seldom=(0.1, 0.4))
-        values, known = [e.value for e in ground], [e.known for e in ground]
-        if found is not None and found.room is not None:
-            rooms = self.parts([e.value for e in found.room])
-            told = self.parts([e.known.astype(np.float32) for e in found.room])
-            for i, (room, tell) in enumerate(zip(rooms, told, strict=True)):
-                more = (tell > 0.9) & ~known[i]
-                values[i] = np.where(more, room, values[i])
-                known[i] = known[i] | more & (smooth(np.abs(room), 1.0) > TELLING)
-        return values, known
-
-    def parts(self, images: list[F32]) -> list[F32]:
-        """Images of whole photos, of any size, as the shots show them."""
-        out = []
-        for image, shot in zip(images, self.shots, strict=True):
-            left, right, top, bottom = shot.box
-            out.append(resized(image, *shot.whole)[top:bottom, left:right])
-        return out
-
-    def round(self, found: Found | None, deny: float) -> Found | None:
-        assert self.cells is not None
-        values, known = self.evidence(found)
-        limits = self.limits(found)
-        if found is not None:
-            masks = self.parts(found.masks)
-            outlines = [o > 0.5 for o in self.parts([o.astype(np.float32) for o in found.outlines])]
-            colours = colour_evidence(self.shots, masks, outlines, self.band)
-            for i, colour in enumerate(colours):
-                near = grown(outlines[i], 2 * self.band[i])
-                doubt = np.clip(1 - np.abs(values[i]) / 2, 0, 1)
-                values[i] = values[i] + COLOUR * doubt * np.where(
-                    near, colour, np.maximum(colour, 0)
-                )
-        data = [np.where(limit, v, SURE) for v, limit in zip(values, limits, strict=True)]
-        first = [
-            cut(d.astype(np.float32), s.rgb, weight=self.weight)
-            for d, s in zip(data, self.shots, strict=True)
-        ]
-        free, tell = [], []
-        for i, shot in enumerate(self.shots):
-            reach = max(1, round(0.9 * pixels_of(self.cells.size, shot, self.ball.center)))
-            free.append(grown(first[i] > 0.3, reach) & limits[i])
-            tell.append(known[i])
-        solid = agreed(self.cells, self.shots, free, tell, self.normal, deny=deny)
-        if solid.sum() < 50:
-            return None
-        outlines = [silhouette(self.cells, solid, shot) for shot in self.shots]
-        final = [
-            self._with_prior(*x) for x in zip(data, outlines, self.shots, self.band, strict=True)
-        ]
-        points = self.cells.points[solid]
-        flat = points - self.ball.center
-        flat -= (flat @ self.normal)[:, None] * self.normal
-        result = Found(
-            [s.placed(m) for s, m in zip(self.shots, final, strict=True)],
-            [
-                s.placed(o.astype(np.float32)) > 0.5
-                for s, o in zip(self.shots, outlines, strict=True)
-            ],
-            None if found is None else found.room,
-            None,
-            float(np.linalg.norm(flat, axis=1).max()),
-        )
-        if self.level is LEVELS[0] and found is not None:
-            cover = [grown(o, 2) for o in result.outlines]
-            result.room = shown_room(self.shots, self.ball, cover)
-        return result
-
-    def limits(self, found: Found | None) -> list[Bools]:
-        """(H, W) where the object can be at all."""
-        if found is None:
-            assert self.cells is not None
-            return [silhouette(self.cells, self.cells.inside, shot) for shot in self.shots]
-        return [np.ones(shot.valid.shape, bool) for shot in self.shots]
-
-    def _with_prior(self, data: F32, outline: Bools, shot: Shot, band: int) -> F32:
-        """(H, W) the mask, near the solid's silhouette."""
-        distance = signed_distance(outline) / band
-        doubt = np.clip(1 - np.abs(data) / 2, 0.1, 1)
-        prior = PRIOR * np.where(distance > 0, self.inner * doubt, 1) * np.clip(distance, -1, 1)
-        evidence = np.where(distance < -1, SURE, data - prior)
-        return cut(evidence.astype(np.float32), shot.rgb, weight=self.weight)
-
-    def final(self, found: Found, fine: Cells) -> Found:
-        """Masks as fine as photos are, of what all of them agree on."""
-        values, _ = self.evidence(found)
-        masks = self.parts(found.masks)
-        outlines = [o > 0.5 for o in self.parts([o.astype(np.float32) for o in found.outlines])]
-        colours = colour_evidence(self.shots, masks, outlines, self.band)
-        data = []
-        for value, colour in zip(values, colours, strict=True):
-            data.append(value + COLOUR * np.clip(1 - np.abs(value) / 2, 0, 1) * colour)
-        for deny in FINE_DENIALS:
-            shots = zip(data, outlines, self.shots, self.band, strict=True)
-            masks = [self._with_prior(*shot) for shot in shots]
-            free = [
-                grown(mask > 0.3, max(1, round(0.5 * pixels_of(fine.size, shot, self.ball.center))))
-                for mask, shot in zip(masks, self.shots, strict=True)
-            ]
-            tell = [np.ones_like(f) for f in free]
-            solid = agreed(fine, self.shots, free, tell, self.normal, deny=deny)
-            outlines = [silhouette(fine, solid, shot) for shot in self.shots]
-            self.band = [max(2, round(b / 2)) for b in self.band]
-        shots = zip(data, outlines, self.shots, self.band, strict=True)
-        masks = [self._with_prior(*shot) for shot in shots]
-        placed = [s.placed(m) for s, m in zip(self.shots, masks, strict=True)]
-        lines = [
-            s.placed(o.astype(np.float32)) > 0.5 for s, o in zip(self.shots, outlines, strict=True)
-        ]
-        return Found(placed, lines, found.room, None, found.reach)
-
-
-def signed_distance(mask: Bools) -> F32:
-    """(H, W) pixels to the mask's edge, positive inside."""
-    inside = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 3)
-    outside = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 3)
-    return np.asarray(inside - outside, np.float32)
+    return None if found is None else _Worker(views, model, plane, LAST, found).final(found)
 
 
 def agreement(found: Found) -> tuple[float, float]:
@@ -266,7 +120,177 @@ def agreement(found: Found) -> tuple[float, float]:
     """
     shares = []
     for mask, outline in zip(found.masks, found.outlines, strict=True):
-        object_ = mask > 0.5
-        union = int((object_ | outline).sum())
-        shares.append(float((object_ & outline).sum()) / union if union else 0.0)
+        inside = mask > 0.5
+        union = int((inside | outline).sum())
+        shares.append(float((inside & outline).sum()) / union if union else 0.0)
     return float(np.mean(shares)), float(np.quantile(shares, 0.1))
+
+
+class _Worker:
+    """The photos of one level, and what they show of the plane."""
+
+    def __init__(
+        self,
+        views: Views,
+        model: SparseModel,
+        plane: tuple[F64, float],
+        level: Level,
+        found: Found | None,
+    ) -> None:
+        self.normal, offset = plane
+        self.level, self.ball = level, model.ball
+        self.inner = INNER if level is LAST else 1.0
+        self.shots = whole_shots(views, model, level.side)
+        self.weight = WEIGHT * min(1.0, 400 / max(self.shots[0].whole))
+        self.band = [max(2, round(BAND * max(shot.whole))) for shot in self.shots]
+        if found is not None:
+            self.shots = [
+                _cut(*pair, level.margin) for pair in zip(self.shots, found.outlines, strict=True)
+            ]
+        reach = WIDE * model.ball.radius if found is None else NARROW * found.reach
+        ground = Ground.under(self.ball, self.normal, offset, reach)
+        self.table = Table(ground, level.cells, len(self.shots))
+        self.cells = grid(self.ball, self.normal, offset, level.solid)
+
+    def round(self, found: Found | None, deny: float) -> Found | None:
+        """Cut every photo, and find the solid; None if there is none."""
+        if found is None:
+            table = self.table.found(self.shots)
+            evidence = shown_plane(table, self.shots, None, seldom=FIRST_SELDOM)
+            limits = [silhouette(self.cells, self.cells.inside, shot) for shot in self.shots]
+            values = [
+                np.where(limit, e.value, np.float32(SURE))
+                for e, limit in zip(evidence, limits, strict=True)
+            ]
+        else:
+            evidence = self._evidence(found)
+            limits = [np.ones(shot.valid.shape, bool) for shot in self.shots]
+            values = self._with_colours(evidence, found)
+        masks = [self._cut(*pair) for pair in zip(values, self.shots, strict=True)]
+        free = [m & limit for m, limit in zip(self._free(masks), limits, strict=True)]
+        known = [e.known for e in evidence]
+        solid = agreed(self.cells, self.shots, free, known, self.normal, deny=deny)
+        if solid.sum() < LEAST_CELLS:
+            return None
+        outlines = self._silhouettes(solid)
+        final = self._near_outlines(values, outlines)
+        return self._placed(final, outlines, solid, None if found is None else found.room)
+
+    def with_room(self, found: Found) -> Found:
+        """Add what the room behind the object tells; the level's photos are whole."""
+        cover = [grown(outline, 2) for outline in found.outlines]
+        return replace(found, room=shown_room(self.shots, self.ball, cover))
+
+    def final(self, found: Found) -> Found | None:
+        """Masks as fine as photos are, of what all of them agree on."""
+        values = self._with_colours(self._evidence(found), found)
+        outlines = self._parts_of(found.outlines)
+        masks, solid = [], self.cells.inside
+        for deny in self.level.denials:
+            masks = self._near_outlines(values, outlines)
+            everywhere = [np.ones(mask.shape, bool) for mask in masks]
+            free = self._free(masks)
+            solid = agreed(self.cells, self.shots, free, everywhere, self.normal, deny=deny)
+            if solid.sum() < LEAST_CELLS:
+                return None
+            outlines = self._silhouettes(solid)
+            self.band = [max(2, round(band / 2)) for band in self.band]
+        masks = self._near_outlines(values, outlines)
+        return self._placed(masks, outlines, solid, found.room)
+
+    def _evidence(self, found: Found) -> list[Evidence]:
+        """What the plane tells, and the room where the plane does not."""
+        outlines = self._parts_of(found.outlines)
+        inner = [grown(o, -band) for o, band in zip(outlines, self.band, strict=True)]
+        clear = [~grown(o, 2 * band) for o, band in zip(outlines, self.band, strict=True)]
+        table = self.table.found(self.shots, inner)
+        planes = shown_plane(table, self.shots, clear, seldom=SELDOM)
+        if found.room is None:
+            return planes
+        rooms = self._parts([room.value for room in found.room])
+        told = self._parts([room.known.astype(np.float32) for room in found.room])
+        out = []
+        for plane, room, tells in zip(planes, rooms, told, strict=True):
+            beside = (tells > 0.9) & ~plane.known
+            sure = beside & (smooth(np.abs(room), 1.0) > TELLING)
+            out.append(Evidence(np.where(beside, room, plane.value), plane.known | sure))
+        return out
+
+    def _with_colours(self, evidence: list[Evidence], found: Found) -> list[F32]:
+        """(H, W) the evidence, and the colours' where it is weak; far off only against the object."""
+        outlines = self._parts_of(found.outlines)
+        colours = colour_evidence(self.shots, self._parts(found.masks), outlines, self.band)
+        out = []
+        for one, colour, outline, band in zip(evidence, colours, outlines, self.band, strict=True):
+            doubt = np.clip(1 - np.abs(one.value) / 2, 0, 1)
+            near = grown(outline, 2 * band)
+            more = COLOUR * doubt * np.where(near, colour, np.maximum(colour, 0))
+            out.append(np.asarray(one.value + more, np.float32))
+        return out
+
+    def _cut(self, values: F32, shot: Shot) -> F32:
+        return cut(values, shot.rgb, weight=self.weight)
+
+    def _near_outlines(self, values: list[F32], outlines: list[Bools]) -> list[F32]:
+        """(H, W) masks that stay near the solid's silhouettes."""
+        out = []
+        for value, outline, shot, band in zip(values, outlines, self.shots, self.band, strict=True):
+            distance = _signed_distance(outline) / band
+            doubt = self.inner * np.clip(1 - np.abs(value) / 2, 0.1, 1)
+            prior = PRIOR * np.where(distance > 0, doubt, 1) * np.clip(distance, -1, 1)
+            evidence = np.where(distance < -1, SURE, value - prior)
+            out.append(self._cut(np.asarray(evidence, np.float32), shot))
+        return out
+
+    def _free(self, masks: list[F32]) -> list[Bools]:
+        """(H, W) where photos do not deny the object."""
+        length = self.level.growth * self.cells.size
+        return [
+            grown(mask > FREE, max(1, round(pixels_of(length, shot, self.ball.center))))
+            for mask, shot in zip(masks, self.shots, strict=True)
+        ]
+
+    def _silhouettes(self, solid: Bools) -> list[Bools]:
+        return [silhouette(self.cells, solid, shot) for shot in self.shots]
+
+    def _parts(self, images: list[F32]) -> list[F32]:
+        """Images of whole photos, of any size, as the shots show them."""
+        out = []
+        for image, shot in zip(images, self.shots, strict=True):
+            left, right, top, bottom = shot.box
+            out.append(resized(image, *shot.whole)[top:bottom, left:right])
+        return out
+
+    def _parts_of(self, masks: list[Bools]) -> list[Bools]:
+        return [part > 0.5 for part in self._parts([mask.astype(np.float32) for mask in masks])]
+
+    def _placed(
+        self,
+        masks: list[F32],
+        outlines: list[Bools],
+        solid: Bools,
+        room: list[Evidence] | None,
+    ) -> Found:
+        """The same for whole photos."""
+        flat = self.cells.points[solid] - self.ball.center
+        flat -= (flat @ self.normal)[:, None] * self.normal
+        lines = [o.astype(np.float32) for o in outlines]
+        return Found(
+            [shot.placed(mask) for shot, mask in zip(self.shots, masks, strict=True)],
+            [shot.placed(line) > 0.5 for shot, line in zip(self.shots, lines, strict=True)],
+            room,
+            float(np.linalg.norm(flat, axis=1).max()),
+        )
+
+
+def _cut(shot: Shot, outline: Bools, margin: float) -> Shot:
+    """The part of a photo round the solid."""
+    box = box_around(resized(outline.astype(np.float32), *shot.whole) > 0.5, margin)
+    return shot if box is None else cut_to(shot, box)
+
+
+def _signed_distance(mask: Bools) -> F32:
+    """(H, W) pixels to the mask's edge, positive inside."""
+    inside = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 3)
+    outside = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 3)
+    return np.asarray(inside - outside, np.float32)

@@ -6,6 +6,7 @@ photo shows the plane there, or something else. A reflection does not agree, wha
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -80,13 +81,13 @@ class Table:
         cells: along an edge of the picture.
     """
 
-    def __init__(self, ground: Ground, cells: int, gains: F32 | None, count: int) -> None:
+    def __init__(self, ground: Ground, cells: int, count: int) -> None:
         self.ground, self.cells = ground, cells
         place = (np.mgrid[0:cells, 0:cells] + 0.5) / cells * 2 - 1
         y, x = place * ground.radius
         basis = [np.ones_like(x), x, y, x * x, x * y, y * y]
         self._basis = np.stack(basis, -1).astype(np.float32)
-        self.gains = np.zeros((count, 6), np.float32) if gains is None else gains.copy()
+        self.gains = np.zeros((count, 6), np.float32)
         self.colour = np.zeros((cells, cells, 3), np.float32)
         self.share = np.zeros((cells, cells), np.float32)
 
@@ -170,7 +171,7 @@ class Table:
         """(H, W, 3) the plane as photo i would show it, NaN where it has none; (H, W) its share."""
         camera = shot.camera
         H = self.ground.homography(camera, self.cells)
-        back = np.linalg.inv(H)
+        back = np.asarray(np.linalg.inv(H), np.float64)
         size = (camera.width, camera.height)
         colour = self.colour + (self._basis @ self.gains[i])[..., None]
         picture = homography_warp(colour.astype(np.float32), back, *size, np.nan)
@@ -201,7 +202,7 @@ def shown_plane(
     certain = [share > 0.6 for share in shares]
     if reference is not None:
         certain = [c & r for c, r in zip(certain, reference, strict=True)]
-    for first, last in zip(BINS, BINS[1:], strict=False):
+    for first, last in pairwise(BINS):
         within = [(t > first) & (t <= last) for t in textures]
         sample = np.concatenate([v[c & w] for v, c, w in zip(values, certain, within, strict=True)])
         if len(sample) < LEAST_PIXELS:

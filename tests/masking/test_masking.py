@@ -184,7 +184,7 @@ def test_masks_are_kept_and_damage_is_said(tmp_path: Path) -> None:
     Masks(tmp_path, (), "none", "no plane").save(tmp_path)
     assert Masks.load(tmp_path) == Masks(tmp_path, (), "none", "no plane")
     (tmp_path / "masks.json").write_text("{}")
-    with pytest.raises(CorruptError, match="masks.json"):
+    with pytest.raises(CorruptError, match=r"masks\.json"):
         Masks.load(tmp_path)
 
 
