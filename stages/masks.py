@@ -1,5 +1,6 @@
 """Find the object in photos that came without masks."""
 
+from functools import partial
 from typing import Literal
 
 from pydantic import Field
@@ -44,13 +45,9 @@ def masks(views: Views, model: SparseModel, params: MasksParams, job: Job) -> Ma
         why = "the sparse points show no plane that the object stands on"
         job.measure("masks", f"none: {why}")
         return Masks(job.folder, (), "none", why)
-    torch.set_num_threads(job.threads)
-    found = object_masks(
-        views,
-        model,
-        (plane.normal, plane.offset),
-        lambda n, of: job.progress("finding the object", n, of),
-    )
+    torch.set_num_threads(1)  # photos are worked on side by side
+    told = partial(job.progress, "finding the object")
+    found = object_masks(views, model, (plane.normal, plane.offset), told, job.threads)
     if found is None:
         why = "nothing stands on the plane that all photos agree on"
         job.measure("masks", f"none: {why}")

@@ -9,7 +9,7 @@ import numpy as np
 
 from refdgs_pipe.artifacts.sparse_model import Ball
 from refdgs_pipe.camera import F64
-from refdgs_pipe.masking.shots import F32, Bools, Shot, box_around, homography_warp
+from refdgs_pipe.masking.shots import F32, Bools, Shot, box_around, homography_warp, mapped
 from refdgs_pipe.masking.table import LIMIT, Evidence, alike, smooth
 
 NEIGHBOURS = 5
@@ -21,7 +21,9 @@ STRANGE, MOST_STRANGE = 0.5, 0.4  # evidence, and the share of the surroundings
 EVEN = 0.6  # likeness that speaks for neither
 
 
-def shown_room(shots: list[Shot], ball: Ball, cover: list[Bools]) -> list[Evidence]:
+def shown_room(
+    shots: list[Shot], ball: Ball, cover: list[Bools], threads: int = 1
+) -> list[Evidence]:
     """The evidence of whole photos near the object.
 
     Args:
@@ -30,8 +32,9 @@ def shown_room(shots: list[Shot], ball: Ball, cover: list[Bools]) -> list[Eviden
     centers = np.stack([shot.camera.center for shot in shots]) - ball.center
     units = centers / np.linalg.norm(centers, axis=1, keepdims=True)
     angles = np.degrees(np.arccos(np.clip(units @ units.T, -1, 1)))
-    out = []
-    for i, shot in enumerate(shots):
+
+    def judge(i: int) -> Evidence:
+        shot = shots[i]
         value = np.zeros(shot.valid.shape, np.float32)
         known = np.zeros(shot.valid.shape, bool)
         box = box_around(cover[i], MARGIN)
@@ -42,7 +45,9 @@ def shown_room(shots: list[Shot], ball: Ball, cover: list[Bools]) -> list[Eviden
             left, right, top, bottom = box
             part = (slice(top, bottom), slice(left, right))
             value[part], known[part] = _judged(shots, i, near, cover, box, 1 / first)
-        out.append(Evidence(value, known))
+        return Evidence(value, known)
+
+    out = mapped(judge, range(len(shots)), threads)
     if _moves(out, cover):  # a turntable: the room turns about what is fixed in the poses
         return [Evidence(np.zeros_like(e.value), np.zeros_like(e.known)) for e in out]
     return out

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from refdgs_pipe.artifacts.sparse_model import SparseModel
+from refdgs_pipe.artifacts.sparse_model import Ball, SparseModel
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import F64
 from refdgs_pipe.masking.beyond import shown_room
@@ -19,6 +19,7 @@ from refdgs_pipe.masking.shots import (
     box_around,
     cut_to,
     grown,
+    mapped,
     resized,
     whole_shots,
 )
@@ -51,14 +52,14 @@ LEVELS = (
     Level(200, 256, 64, (0.25, 0.15), 0.0, 0.9),
     Level(400, 384, 96, (0.08, 0.06), 0.5, 0.9),
 )
-LAST = Level(1024, 512, 160, (0.06, 0.04), 0.2, 0.5)
+LAST = Level(1024, 512, 112, (0.06, 0.04), 0.2, 0.5)
 TELLING = 0.6  # evidence below which the room cannot tell whether a cell is empty
 SURE = 4.0  # evidence against what cannot be the object
 WIDE = 2.2  # radii of the ball that the plane's picture reaches at first
 NARROW = 1.9  # reaches of the solid, later
 BAND = 0.02  # of a photo's longer side: how far an outline may be off
 COLOUR, PRIOR = 0.5, 0.75  # of the evidence: colours, and the solid's silhouette
-INNER = 0.3  # of the silhouette's prior inside, at last
+INNER = 0.7  # of the silhouette's prior inside, at last
 WEIGHT = 0.4  # of the evidence against the outline, for a pixel of a photo 400 pixels long
 FREE = 0.3  # of a mask, above which it denies nothing
 LEAST_CELLS = 50
@@ -74,12 +75,14 @@ class Found:
         outlines: (h, w) the silhouettes of the solid.
         room: evidence beside the plane; None before it is looked for.
         reach: of the solid from the ball's centre along the plane, world units.
+        ball: round the solid, with room to spare.
     """
 
     masks: list[F32]
     outlines: list[Bools]
     room: list[Evidence] | None
     reach: float
+    ball: Ball
 
 
 def object_masks(
@@ -87,6 +90,7 @@ def object_masks(
     model: SparseModel,
     plane: tuple[F64, float],
     progress: Callable[[int, int], None],
+    threads: int = 1,
 ) -> Found | None:
     """Masks of what stands on a plane, or None where nothing is found.
 
@@ -96,11 +100,12 @@ def object_masks(
     Args:
         plane: unit normal and offset, world.
         progress: told the rounds done and their number; may raise.
+        threads: photos that are worked on at a time; the result does not depend on it.
     """
     found: Found | None = None
     total, done = sum(len(level.denials) for level in LEVELS) + 1, 0
     for level in LEVELS:
-        worker = _Worker(views, model, plane, level, found)
+        worker = _Worker(views, model, plane, level, found, threads)
         for deny in level.denials:
             progress(done, total)
             found = worker.round(found, deny)
@@ -110,7 +115,9 @@ def object_masks(
         if found is not None and found.room is None:
             found = worker.with_room(found)
     progress(done, total)
-    return None if found is None else _Worker(views, model, plane, LAST, found).final(found)
+    return (
+        None if found is None else _Worker(views, model, plane, LAST, found, threads).final(found)
+    )
 
 
 def agreement(found: Found) -> tuple[float, float]:
@@ -136,9 +143,10 @@ class _Worker:
         plane: tuple[F64, float],
         level: Level,
         found: Found | None,
+        threads: int,
     ) -> None:
         self.normal, offset = plane
-        self.level, self.ball = level, model.ball
+        self.level, self.ball, self.threads = level, model.ball, threads
         self.inner = INNER if level is LAST else 1.0
         self.shots = whole_shots(views, model, level.side)
         self.weight = WEIGHT * min(1.0, 400 / max(self.shots[0].whole))
@@ -149,8 +157,9 @@ class _Worker:
             ]
         reach = WIDE * model.ball.radius if found is None else NARROW * found.reach
         ground = Ground.under(self.ball, self.normal, offset, reach)
-        self.table = Table(ground, level.cells, len(self.shots))
-        self.cells = grid(self.ball, self.normal, offset, level.solid)
+        self.table = Table(ground, level.cells, len(self.shots), threads)
+        within = found.ball if found is not None and level is LAST else self.ball
+        self.cells = grid(within, self.normal, offset, level.solid)
 
     def round(self, found: Found | None, deny: float) -> Found | None:
         """Cut every photo, and find the solid; None if there is none."""
@@ -166,7 +175,7 @@ class _Worker:
             evidence = self._evidence(found)
             limits = [np.ones(shot.valid.shape, bool) for shot in self.shots]
             values = self._with_colours(evidence, found)
-        masks = [self._cut(*pair) for pair in zip(values, self.shots, strict=True)]
+        masks = self._cuts(values)
         free = [m & limit for m, limit in zip(self._free(masks), limits, strict=True)]
         known = [e.known for e in evidence]
         solid = agreed(self.cells, self.shots, free, known, self.normal, deny=deny)
@@ -179,18 +188,18 @@ class _Worker:
     def with_room(self, found: Found) -> Found:
         """Add what the room behind the object tells; the level's photos are whole."""
         cover = [grown(outline, 2) for outline in found.outlines]
-        return replace(found, room=shown_room(self.shots, self.ball, cover))
+        return replace(found, room=shown_room(self.shots, self.ball, cover, self.threads))
 
     def final(self, found: Found) -> Found | None:
         """Masks as fine as photos are, of what all of them agree on."""
-        values = self._with_colours(self._evidence(found), found)
+        evidence = self._evidence(found)
+        values, known = self._with_colours(evidence, found), [e.known for e in evidence]
         outlines = self._parts_of(found.outlines)
         masks, solid = [], self.cells.inside
         for deny in self.level.denials:
             masks = self._near_outlines(values, outlines)
-            everywhere = [np.ones(mask.shape, bool) for mask in masks]
             free = self._free(masks)
-            solid = agreed(self.cells, self.shots, free, everywhere, self.normal, deny=deny)
+            solid = agreed(self.cells, self.shots, free, known, self.normal, deny=deny)
             if solid.sum() < LEAST_CELLS:
                 return None
             outlines = self._silhouettes(solid)
@@ -217,7 +226,7 @@ class _Worker:
         return out
 
     def _with_colours(self, evidence: list[Evidence], found: Found) -> list[F32]:
-        """(H, W) the evidence, and the colours' where it is weak; far off only against the object."""
+        """(H, W) the evidence, and that of colours where it is weak; far off only one way."""
         outlines = self._parts_of(found.outlines)
         colours = colour_evidence(self.shots, self._parts(found.masks), outlines, self.band)
         out = []
@@ -228,19 +237,24 @@ class _Worker:
             out.append(np.asarray(one.value + more, np.float32))
         return out
 
-    def _cut(self, values: F32, shot: Shot) -> F32:
-        return cut(values, shot.rgb, weight=self.weight)
+    def _cuts(self, values: list[F32]) -> list[F32]:
+        """(H, W) the cut of each photo."""
+
+        def one(pair: tuple[F32, Shot]) -> F32:
+            return cut(pair[0], pair[1].rgb, weight=self.weight)
+
+        return mapped(one, list(zip(values, self.shots, strict=True)), self.threads)
 
     def _near_outlines(self, values: list[F32], outlines: list[Bools]) -> list[F32]:
         """(H, W) masks that stay near the solid's silhouettes."""
         out = []
-        for value, outline, shot, band in zip(values, outlines, self.shots, self.band, strict=True):
+        for value, outline, band in zip(values, outlines, self.band, strict=True):
             distance = _signed_distance(outline) / band
             doubt = self.inner * np.clip(1 - np.abs(value) / 2, 0.1, 1)
             prior = PRIOR * np.where(distance > 0, doubt, 1) * np.clip(distance, -1, 1)
             evidence = np.where(distance < -1, SURE, value - prior)
-            out.append(self._cut(np.asarray(evidence, np.float32), shot))
-        return out
+            out.append(np.asarray(evidence, np.float32))
+        return self._cuts(out)
 
     def _free(self, masks: list[F32]) -> list[Bools]:
         """(H, W) where photos do not deny the object."""
@@ -272,7 +286,8 @@ class _Worker:
         room: list[Evidence] | None,
     ) -> Found:
         """The same for whole photos."""
-        flat = self.cells.points[solid] - self.ball.center
+        points = self.cells.points[solid]
+        flat = points - self.ball.center
         flat -= (flat @ self.normal)[:, None] * self.normal
         lines = [o.astype(np.float32) for o in outlines]
         return Found(
@@ -280,6 +295,7 @@ class _Worker:
             [shot.placed(line) > 0.5 for shot, line in zip(self.shots, lines, strict=True)],
             room,
             float(np.linalg.norm(flat, axis=1).max()),
+            _ball_of(points, self.cells.size),
         )
 
 
@@ -287,6 +303,13 @@ def _cut(shot: Shot, outline: Bools, margin: float) -> Shot:
     """The part of a photo round the solid."""
     box = box_around(resized(outline.astype(np.float32), *shot.whole) > 0.5, margin)
     return shot if box is None else cut_to(shot, box)
+
+
+def _ball_of(points: F64, cell: float) -> Ball:
+    """A ball round points, a tenth and two cells larger than it has to be."""
+    center = (points.min(0) + points.max(0)) / 2
+    reach = float(np.linalg.norm(points - center, axis=1).max())
+    return Ball(center, 1.1 * reach + 2 * cell)
 
 
 def _signed_distance(mask: Bools) -> F32:

@@ -1,6 +1,9 @@
 """Photos at a working size, cut to where the object can be."""
 
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -15,6 +18,9 @@ F32 = NDArray[np.float32]
 Bools = NDArray[np.bool_]
 Box = tuple[int, int, int, int]
 """First and last-but-one column, first and last-but-one row: left, right, top, bottom."""
+
+T = TypeVar("T")
+S = TypeVar("S")
 
 LOG_FLOOR = 0.02  # keeps the logarithm of black finite; about five 8-bit levels
 
@@ -119,3 +125,11 @@ def homography_warp(image: F32, to: F64, width: int, height: int, outside: float
         image, matrix, (width, height), flags=flags, borderValue=(outside,) * 4
     )
     return np.asarray(out, np.float32)
+
+
+def mapped(function: Callable[[T], S], items: Iterable[T], threads: int) -> list[S]:
+    """The function of each item, in order, several at a time."""
+    if threads < 2:
+        return [function(item) for item in items]
+    with ThreadPoolExecutor(threads) as pool:
+        return list(pool.map(function, items))

@@ -13,6 +13,7 @@ from refdgs_pipe.masking.shots import Bools, Shot
 REACH = 1.1  # radii of the ball that the cells cover
 SHOWN = 0.6  # share of the photos that must show a cell
 KNOWN = 0.2  # share of the photos that must know whether a cell is empty
+DROP = 6  # photos after which cells that are lost are left out
 PIECE = 0.03  # of the largest piece's cells: smaller ones go
 
 
@@ -63,18 +64,15 @@ def agreed(
     index = np.flatnonzero(cells.inside)
     points = cells.points[index]
     seen, told, denied = (np.zeros(len(index), np.int32) for _ in range(3))
-    for shot, may, can in zip(shots, free, known, strict=True):
-        uv, depth = shot.camera.project(points)
-        left, _, top, _ = shot.box
-        u, v = uv[:, 0] + left, uv[:, 1] + top
-        shown = (depth > 0) & (u >= 0) & (v >= 0) & (u < shot.whole[0]) & (v < shot.whole[1])
-        height, width = may.shape
-        within = shown & (uv >= 0).all(1) & (uv < (width, height)).all(1)
-        column, row = np.where(within[:, None], uv, 0).astype(np.int64).T
-        tells = np.where(within, can[row, column], shown)
+    for number, (shot, may, can) in enumerate(zip(shots, free, known, strict=True), 1):
+        shown, tells, may_be = _asked(points, shot, may, can)
         seen += shown
         told += tells
-        denied += tells & ~(within & may[row, column])
+        denied += tells & ~may_be
+        if number % DROP == 0:  # what more photos cannot save
+            left = (denied <= deny * len(shots)) & (number - seen <= (1 - SHOWN) * len(shots))
+            index, points = index[left], points[left]
+            seen, told, denied = seen[left], told[left], denied[left]
     shown_enough = seen >= SHOWN * len(shots)
     sure = told >= KNOWN * len(shots)
     solid = shown_enough & sure & (denied <= deny * told)
@@ -83,6 +81,19 @@ def agreed(
     out = np.zeros(len(cells.points), bool)
     out[index[solid]] = True
     return _without_crumbs(out, cells.n)
+
+
+def _asked(points: F64, shot: Shot, may: Bools, can: Bools) -> tuple[Bools, Bools, Bools]:
+    """(N,) whether a photo shows each point, can tell of it, and may show the object there."""
+    uv, depth = shot.camera.project(points)
+    left, _, top, _ = shot.box
+    u, v = uv[:, 0] + left, uv[:, 1] + top
+    shown = (depth > 0) & (u >= 0) & (v >= 0) & (u < shot.whole[0]) & (v < shot.whole[1])
+    height, width = may.shape
+    within = shown & (uv >= 0).all(1) & (uv < (width, height)).all(1)
+    column, row = np.where(within[:, None], uv, 0).astype(np.int64).T
+    tells = np.where(within, can[row, column], shown)
+    return shown, tells, within & may[row, column]
 
 
 def _above(points: F64, solid: Bools, normal: F64) -> Bools:

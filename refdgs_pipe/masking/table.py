@@ -11,11 +11,10 @@ from itertools import pairwise
 import cv2
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from refdgs_pipe.artifacts.sparse_model import Ball
 from refdgs_pipe.camera import F64, Camera
-from refdgs_pipe.masking.shots import F32, Bools, Shot, homography_warp
+from refdgs_pipe.masking.shots import F32, Bools, Shot, homography_warp, mapped
 
 TOLERANCES = (0.25, 0.15)  # of log colour, within which photos agree: at first, then
 CANDIDATES = 12  # photos whose colour is proposed where it is not known who sees the plane
@@ -78,11 +77,11 @@ class Table:
     """A picture of the plane, in log colour, and each photo's brightness on it.
 
     Args:
-        cells: along an edge of the picture.
+        cells: along an edge of the picture; count: of the photos.
     """
 
-    def __init__(self, ground: Ground, cells: int, count: int) -> None:
-        self.ground, self.cells = ground, cells
+    def __init__(self, ground: Ground, cells: int, count: int, threads: int = 1) -> None:
+        self.ground, self.cells, self.threads = ground, cells, threads
         place = (np.mgrid[0:cells, 0:cells] + 0.5) / cells * 2 - 1
         y, x = place * ground.radius
         basis = [np.ones_like(x), x, y, x * x, x * y, y * y]
@@ -120,7 +119,9 @@ class Table:
         """(N, n, n, 3) the plane as each photo shows it; NaN where it does not."""
         n = self.cells
         out = np.empty((len(shots), n, n, 3), np.float32)
-        for i, shot in enumerate(shots):
+
+        def flatten(i: int) -> None:
+            shot = shots[i]
             shown = shot.valid if hidden is None else shot.valid & ~hidden[i]
             logs = np.where(shown[..., None], shot.logs, np.float32(np.nan))
             H = self.ground.homography(shot.camera, n)
@@ -128,6 +129,8 @@ class Table:
             y, x = np.mgrid[0:n, 0:n] + 0.5
             flat[H[2, 0] * x + H[2, 1] * y + H[2, 2] <= 1e-9] = np.nan
             out[i] = flat - (self._basis @ self.gains[i])[..., None]
+
+        mapped(flatten, range(len(shots)), self.threads)
         return out
 
     def _agree(self, seen: F32, tolerance: float) -> None:
@@ -196,7 +199,11 @@ def shown_plane(
         reference: (H, W) where each photo shows no object for sure; None takes everything.
         seldom: share of the photos that agree on a place: from nothing known to fully known.
     """
-    judged = [_judged(shot, *table.drawn(i, shot)) for i, shot in enumerate(shots)]
+
+    def judge(i: int) -> tuple[F32, F32, F32]:
+        return _judged(shots[i], *table.drawn(i, shots[i]))
+
+    judged = mapped(judge, range(len(shots)), table.threads)
     low, high = seldom
     values, textures, shares = ([j[k] for j in judged] for k in range(3))
     certain = [share > 0.6 for share in shares]
@@ -221,7 +228,7 @@ def shown_plane(
     return out
 
 
-def _judged(shot: Shot, picture: F32, share: F32) -> tuple[F32, F32, NDArray[np.float32]]:
+def _judged(shot: Shot, picture: F32, share: F32) -> tuple[F32, F32, F32]:
     """Evidence, texture and share (H, W) of one photo."""
     share = np.where(np.isfinite(picture[..., 0]), share, 0).astype(np.float32)
     picture = np.nan_to_num(picture)
