@@ -74,9 +74,9 @@ def photographed(shot: Camera) -> tuple[np.ndarray, np.ndarray]:
 def capture(
     tmp_path_factory: pytest.TempPathFactory,
 ) -> tuple[Views, SparseModel, list[np.ndarray]]:
-    """Twenty photos of a mirror ball on a printed table, and their true masks."""
+    """Fourteen photos of a mirror ball on a printed table, and their true masks."""
     folder = tmp_path_factory.mktemp("ball")
-    cameras = [camera(i, 20) for i in range(20)]
+    cameras = [camera(i, 14) for i in range(14)]
     items, truth = [], []
     for one in cameras:
         rgb, mask = photographed(one)
