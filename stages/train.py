@@ -19,7 +19,7 @@ def train(views: Views, model: SparseModel, params: TrainParams, job: Job) -> Su
     import torch
 
     from refdgs_pipe.surface.own import own_surface
-    from refdgs_pipe.training.budget import planned, train_within
+    from refdgs_pipe.training.budget import Load, planned, train_within
     from refdgs_pipe.training.render import render_surface_map
     from refdgs_pipe.training.trainer import Trainer
 
@@ -29,12 +29,13 @@ def train(views: Views, model: SparseModel, params: TrainParams, job: Job) -> Su
 
     looking = partial(job.progress, "looking for a start")
     torch.set_num_threads(job.threads)
+    load = Load(params, job.cuda_graph)
     if job.device == "cuda":
-        params = planned(params, model, vram=job.vram, warn=job.warn)
+        load = planned(load, model, vram=job.vram, warn=job.warn)
     given = {"device": job.device, "warn": job.warn, "starting": looking, "surface": surface}
     trainer, field = train_within(
-        lambda p: Trainer(views, model, p, job.scratch, **given),
-        params,
+        lambda x: Trainer(views, model, x.params, job.scratch, cuda_graph=x.cuda_graph, **given),
+        load,
         partial(job.progress, "training"),
         job.warn,
     )

@@ -85,6 +85,19 @@ def test_mistakes_are_named_with_their_place(tmp_path: Path, text: str, words: s
         assert name in str(caught.value)
 
 
+def test_train_cuda_graph_is_an_option_now_and_keys_still_hold_it() -> None:
+    said: list[str] = []
+    models = {stage.name: stage.params for stage in load_stages()}
+    found, text = recipe.load("glossy"), "train.cuda_graph=off"
+    settings = recipe.resolve(found, [text], models, tell=said.append)
+    assert said == [
+        f"--set {text}: train.cuda_graph is now the option --cuda-graph, and is ignored here"
+    ]
+    hashed = settings["train"].hashed()
+    assert [params["cuda_graph"] for params in hashed] == ["auto", "on", "off"]
+    assert recipe.without_former([text, "train.seed=1"], models) == ("train.seed=1",)
+
+
 def test_a_wrong_value_is_answered_with_the_meaning_limits_and_default() -> None:
     with pytest.raises(InputError) as caught:
         resolve("glossy", "shout.marks=10")

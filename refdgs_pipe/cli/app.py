@@ -40,6 +40,10 @@ Json = Annotated[bool, typer.Option("--json", help="print one JSON object on std
 Device = Annotated[str, typer.Option("--device", help="auto, cpu or cuda")]
 Threads = Annotated[int, typer.Option("--threads", min=0, help="CPU threads; 0: every core")]
 Vram = Annotated[str, typer.Option("--vram", help="GPU memory to keep within", metavar="8GB")]
+CudaGraph = Annotated[
+    bool | None,
+    typer.Option("--cuda-graph/--no-cuda-graph", help="repeat recorded GPU steps [if equal]"),
+]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="only warnings and errors")]
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="every measured figure too")]
 Strict = Annotated[bool, typer.Option("--strict", help="exit with 3 on warnings or a poor verdict")]
@@ -83,6 +87,7 @@ def run_command(
     dry_run: DryRun = False,
     device: Device = "auto",
     vram: Vram = "",
+    cuda_graph: CudaGraph = None,
     threads: Threads = 0,
     as_json: Json = False,
     strict: Strict = False,
@@ -102,8 +107,8 @@ def run_command(
         print_plan(space, until, again, as_json=as_json)
         return
     verbosity = 0 if quiet else 2 if verbose else 1
-    options = Options(until, frozenset(again), device, threads, as_json, strict, verbosity, limit)
-    raise typer.Exit(make(space, options))
+    how = (device, threads, as_json, strict, verbosity, limit, cuda_graph)
+    raise typer.Exit(make(space, Options(until, frozenset(again), *how)))
 
 
 app.command("check")(check_command)
@@ -115,6 +120,7 @@ def rerun_command(
     stage: Annotated[str, typer.Argument(help="the stage to make again", metavar="STAGE")],
     device: Device = "auto",
     vram: Vram = "",
+    cuda_graph: CudaGraph = None,
     threads: Threads = 0,
     as_json: Json = False,
     strict: Strict = False,
@@ -125,8 +131,8 @@ def rerun_command(
     space = spaces.open_workspace(workspace)
     again = frozenset({space.stage_name(stage)})
     verbosity = 0 if quiet else 2 if verbose else 1
-    options = Options(None, again, device, threads, as_json, strict, verbosity, bytes_of(vram))
-    raise typer.Exit(make(space, options))
+    how = (device, threads, as_json, strict, verbosity, bytes_of(vram), cuda_graph)
+    raise typer.Exit(make(space, Options(None, again, *how)))
 
 
 @app.command("status")
@@ -327,7 +333,7 @@ def recipe_show_command(
 
     found = recipe.load(name)
     models = {stage.name: stage.params for stage in load_stages()}
-    settings = recipe.resolve(found, assignments or [], models)
+    settings = recipe.resolve(found, assignments or [], models, tell=spaces.note)
     if as_json:
         _print_json({stage: params.model_dump(mode="json") for stage, params in settings.items()})
         return

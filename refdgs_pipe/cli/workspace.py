@@ -2,9 +2,10 @@
 
 import json
 import os
-from collections.abc import Sequence
+import sys
+from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -133,8 +134,18 @@ def is_workspace(path: Path) -> bool:
     return (path / MEMORY).is_file()
 
 
-def open_workspace(root: Path, memory: Memory | None = None) -> Workspace:
+def note(text: str) -> None:
+    """Tell the user something that ends no run."""
+    print(f"note: {text}", file=sys.stderr)
+
+
+def open_workspace(
+    root: Path, memory: Memory | None = None, *, tell: Callable[[str], None] = note
+) -> Workspace:
     """Open a workspace with the given source and settings, or with those it remembers.
+
+    Args:
+        tell: hears of remembered settings that are none any more.
 
     Raises:
         InputError: it is not a workspace, or the settings are wrong.
@@ -143,8 +154,10 @@ def open_workspace(root: Path, memory: Memory | None = None) -> Workspace:
     memory = memory or Memory.read(root)
     pipeline = catalog.build(Store(root))
     models = {stage.name: stage.params for stage in pipeline.stages}
-    settings = recipe.resolve(recipe.load(memory.recipe), memory.assignments, models)
+    found = recipe.load(memory.recipe)
+    settings = recipe.resolve(found, memory.assignments, models, tell=tell)
     settings = _with_recipe_name(settings, memory.recipe)
+    memory = replace(memory, assignments=recipe.without_former(memory.assignments, models))
     make: Any = pipeline.source
     return Workspace(root, memory, pipeline, make(paths=memory.photos), settings)
 

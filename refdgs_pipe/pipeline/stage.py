@@ -42,6 +42,7 @@ class Job:
     emit: Emit
     stop: Flag = field(default_factory=Flag)
     vram: int = 0  # bytes of GPU memory to keep within, 0: all that is free
+    cuda_graph: bool | None = None  # repeat recorded GPU steps; None: where they prove equal
 
     def track(self, items: Iterable[T], label: str) -> Iterator[T]:
         """Yield the items, reporting progress. Every step is a safe point to cancel.
