@@ -5,7 +5,7 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from refdgs_pipe.params import Former, Params
+from refdgs_pipe.params import Former, Params, PowerOfTwo
 
 
 class TrainParams(Params):
@@ -45,7 +45,7 @@ class TrainParams(Params):
         le=1,
         description="fraction of the run after which reflections join, where there are masks",
     )
-    environment_height: int = Field(
+    environment_height: PowerOfTwo = Field(
         256,
         ge=16,
         le=1024,

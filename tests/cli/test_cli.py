@@ -240,6 +240,7 @@ def test_a_setting_that_is_an_option_now_is_named_and_the_workspace_opens(shell:
         (["run", "letters", "--set", "shout.mark=1"], 64, "Did you mean shout.marks?"),
         (["run", "letters", "--set", "shout.marks=many"], 64, 'shout.marks = "many": expected'),
         (["run", "letters", "--set", "shout.marks=10"], 64, "less than or equal to 9"),
+        (["run", "letters", "--set", "shout.marks=10", "--dry-run"], 64, "less than or equal to 9"),
         (["run", "letters", "--until", "shot"], 64, "no stage is called 'shot'"),
         (["run", "letters", "--device", "tpu"], 64, "expected auto, cpu, cuda"),
         (["run", "letters", "--vram", "lots"], 64, "expected an amount such as 8GB"),
