@@ -21,11 +21,15 @@ def train(views: Views, model: SparseModel, params: TrainParams, job: Job) -> Su
     from refdgs_pipe.surface.own import own_surface
     from refdgs_pipe.training.budget import Load, planned, train_within
     from refdgs_pipe.training.render import render_surface_map
-    from refdgs_pipe.training.trainer import Trainer
+    from refdgs_pipe.training.trainer import Figures, Trainer
 
     def surface(field: SurfelField) -> Mesh:
         draw = partial(render_surface_map, field, device=job.device, threads=job.threads)
         return own_surface(model.placed(field.poses), draw, track=job.track, stop=job.stop)
+
+    def tell(step: int, steps: int, now: Figures, work: float) -> None:
+        job.sample(step, steps, loss=now.loss, psnr=now.psnr, surfels=now.surfels)
+        job.progress("training", step, steps, now.words, work)
 
     looking = partial(job.progress, "looking for a start")
     torch.set_num_threads(job.threads)
@@ -36,7 +40,7 @@ def train(views: Views, model: SparseModel, params: TrainParams, job: Job) -> Su
     trainer, field = train_within(
         lambda x: Trainer(views, model, x.params, job.scratch, cuda_graph=x.cuda_graph, **given),
         load,
-        partial(job.progress, "training"),
+        tell,
         job.warn,
     )
     shown = trainer.coverage(field)

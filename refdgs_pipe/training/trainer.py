@@ -43,7 +43,21 @@ class Moment:
     backdrop: Tensor  # (3,) sRGB, on the CPU
 
 
-Progress = Callable[[int, int, str, float], None]  # step, steps, figures, share of the work
+@dataclass(frozen=True)
+class Figures:
+    """How a run goes: running means of the loss and of the PSNR in dB, and geometry surfels."""
+
+    loss: float
+    psnr: float
+    surfels: int
+
+    @property
+    def words(self) -> str:
+        """For people."""
+        return f"loss {self.loss:.4f}  PSNR {self.psnr:.2f} dB  {self.surfels} surfels"
+
+
+Progress = Callable[[int, int, Figures, float], None]  # step, steps, share of the work
 CHECKPOINT_SECONDS = 30.0
 REPORT_STEPS = 10
 COVERAGE_VIEWS = 6
@@ -151,10 +165,9 @@ class Trainer:
                 if self.iteration % REPORT_STEPS == 0 or last:
                     if self.params.patience > 0:
                         self._skip_a_plateau()
-                    count = len(self.field.geometry)
-                    note = f"loss {self.loss:.4f}  PSNR {self.psnr:.2f} dB  {count} surfels"
+                    figures = Figures(self.loss, self.psnr, len(self.field.geometry))
                     total = self.params.iterations - self.skipped
-                    progress(self.iteration, total, note, self._behind())
+                    progress(self.iteration, total, figures, self._behind())
                 if time.monotonic() - saved > CHECKPOINT_SECONDS:
                     self.save()
                     saved = time.monotonic()
