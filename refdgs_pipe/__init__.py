@@ -2,6 +2,7 @@
 
 from pathlib import Path as _Path
 
+__all__ = ["__version__"]
 __version__ = "0.1.0"
 
 # In a checkout, ./stages and ./recipes are sub-packages of this one, as they are once installed.

@@ -36,9 +36,9 @@ def train(views: Views, model: SparseModel, params: TrainParams, job: Job) -> Su
     load = Load(params, job.cuda_graph)
     if job.device == "cuda":
         load = planned(load, model, vram=job.vram, warn=job.warn)
-    given = {"device": job.device, "warn": job.warn, "starting": looking, "surface": surface}
+    given = partial(Trainer, views, model, scratch=job.scratch, device=job.device, warn=job.warn)
     trainer, field = train_within(
-        lambda x: Trainer(views, model, x.params, job.scratch, cuda_graph=x.cuda_graph, **given),
+        lambda x: given(x.params, cuda_graph=x.cuda_graph, starting=looking, surface=surface),
         load,
         tell,
         job.warn,
