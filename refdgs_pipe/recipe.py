@@ -94,6 +94,18 @@ def resolve(
     return {stage: _validate(stage, model, tables, origins) for stage, model in models.items()}
 
 
+def assignment(name: str, value: Any) -> str:
+    """The `stage.key=value` that says this.
+
+    Raises:
+        InputError: the value is None, which no setting is set to.
+    """
+    text = _toml(value)
+    if text is None:
+        raise InputError(f"{name} = None: leave it out, and it has its default")
+    return f"{name}={text}"
+
+
 def without_former(
     assignments: Iterable[str], models: Mapping[str, type[Params]]
 ) -> tuple[str, ...]:

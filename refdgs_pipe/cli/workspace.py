@@ -162,6 +162,32 @@ def open_workspace(
     return Workspace(root, memory, pipeline, make(paths=memory.photos), settings)
 
 
+def open_for_run(
+    photos: Sequence[Path],
+    root: Path | None,
+    recipe_name: str | None,
+    assignments: Sequence[str],
+    *,
+    tell: Callable[[str], None] = note,
+) -> Workspace:
+    """The workspace of the given photos; or the given workspace, with what it remembers.
+
+    Args:
+        root: where the workspace is or will be; None: see `default_root`.
+
+    Raises:
+        InputError: the settings are wrong.
+        CaptureError: there are no photos.
+    """
+    if root is None and len(photos) == 1 and is_workspace(photos[0]):
+        return open_workspace(photos[0], remembered(photos[0], recipe_name, assignments), tell=tell)
+    name = absolute_recipe(recipe_name or recipe.DEFAULT)
+    memory = Memory(tuple(absolute(path) for path in photos), name, tuple(assignments))
+    space = open_workspace(root or default_root(photos), memory, tell=tell)
+    space.source.files()  # a missing or empty folder is said before a workspace is made
+    return space
+
+
 def _with_recipe_name(settings: dict[str, Params], name: str) -> dict[str, Params]:
     """The exported files name the recipe that they were made by, unless told another name."""
     params = settings.get("export")
