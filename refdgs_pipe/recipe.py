@@ -7,7 +7,7 @@ each stage that it changes.
 
 import difflib
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -59,9 +59,16 @@ def load(name: str) -> Recipe:
 
 
 def resolve(
-    recipe: Recipe, assignments: Iterable[str], models: Mapping[str, type[Params]]
+    recipe: Recipe,
+    assignments: Iterable[str],
+    models: Mapping[str, type[Params]],
+    *,
+    tell: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Params]:
     """The settings of every stage: defaults, then the recipe, then the `stage.key=value` given.
+
+    Args:
+        tell: hears of settings that are none any more; they are left out.
 
     Raises:
         InputError: a stage or setting is unknown, or a value is not allowed.
@@ -76,12 +83,43 @@ def resolve(
         where = next((o for key, o in origins.items() if key.startswith(f"{stage}.")), recipe.name)
         if stage not in models:
             raise InputError(f"{where}: no stage is called {stage!r}{_nearest(stage, models)}")
-        for key in table:
-            if key not in models[stage].model_fields:
-                where = origins.get(f"{stage}.{key}", where)
+        for key in list(table):
+            said = origins.get(f"{stage}.{key}", where)
+            if former := models[stage].former.get(key):
+                tell(f"{said}: {stage}.{key} is now {former.instead}, and is ignored here")
+                del table[key]
+            elif key not in models[stage].model_fields:
                 hint = _nearest(key, models[stage].model_fields, f"{stage}.")
-                raise InputError(f"{where}: {stage} has no setting {key!r}{hint}")
+                raise InputError(f"{said}: {stage} has no setting {key!r}{hint}")
     return {stage: _validate(stage, model, tables, origins) for stage, model in models.items()}
+
+
+def assignment(name: str, value: Any) -> str:
+    """The `stage.key=value` that says this.
+
+    Raises:
+        InputError: the value is None, which no setting is set to.
+    """
+    text = _toml(value)
+    if text is None:
+        raise InputError(f"{name} = None: leave it out, and it has its default")
+    return f"{name}={text}"
+
+
+def without_former(
+    assignments: Iterable[str], models: Mapping[str, type[Params]]
+) -> tuple[str, ...]:
+    """The `stage.key=value` whose settings are still settings.
+
+    Raises:
+        InputError: one is no assignment.
+    """
+    parsed = ((text, *_parse_assignment(text)[:2]) for text in assignments)
+    return tuple(
+        text
+        for text, stage, key in parsed
+        if stage not in models or key not in models[stage].former
+    )
 
 
 def describe(settings: Mapping[str, Params], *, only: Recipe | None = None) -> str:

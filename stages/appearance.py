@@ -56,6 +56,7 @@ def appearance(
     lift, metal = tolerance / 2, params.metal == "tell"
     told = partial(job.progress, "telling material from light")
     found = fit(mesh, samples, light, lift=lift, metal=metal, threads=job.threads, progress=told)
+    assert found.environment is not None  # a fit always has one
     job.measure("mean light", round(float(found.environment.mean()), 3), "linear, 1 is white")
     job.measure("metal", round(float((found.metallic > 0.5).mean()), 3), "share of the vertices")
     return found

@@ -1,6 +1,6 @@
 """Paint the mesh from the field: colour, roughness, metal and normals."""
 
-from pydantic import Field, field_validator
+from pydantic import Field
 
 from refdgs_pipe.artifacts.appearance import Appearance
 from refdgs_pipe.artifacts.masks import Masks
@@ -9,23 +9,18 @@ from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.surfel_field import SurfelField
 from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
 from refdgs_pipe.artifacts.views import Views
-from refdgs_pipe.params import Params
+from refdgs_pipe.params import Params, PowerOfTwo
 from refdgs_pipe.pipeline.stage import Job, stage
 
 
 class BakeParams(Params):
     """The textures."""
 
-    size: int = Field(2048, ge=64, le=8192, description="texels along a side; a power of two")
+    size: PowerOfTwo = Field(
+        2048, ge=64, le=8192, description="texels along a side; a power of two"
+    )
     tolerance: float = Field(0.01, gt=0, le=0.2, description="mesh to field, in ball diameters")
     refine: bool = Field(True, description="correct base colours by the photos, in the light found")
-
-    @field_validator("size")
-    @classmethod
-    def _is_power_of_two(cls, size: int) -> int:
-        if size & (size - 1):
-            raise ValueError(f"{size} is not a power of two: 1024, 2048 and 4096 are")
-        return size
 
 
 @stage(version=6, programs=("open3d-cpu", "scipy"))

@@ -1,30 +1,10 @@
 """Judge the photos' places by evidence, and find the ball that the object lives in."""
 
-from pydantic import Field
-
 from refdgs_pipe.artifacts.placement import Placement
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.views import Views
-from refdgs_pipe.params import Params
 from refdgs_pipe.pipeline.stage import Job, stage
-
-Point = tuple[float, float, float]
-
-
-class GateParams(Params):
-    """What is asked of the places. A given up axis or ball is in the frame of the result."""
-
-    min_trusted: float = Field(
-        0.7, ge=0, le=1, description="share of the photos that need a trusted place"
-    )
-    up: Point | None = Field(None, description="up axis, a direction; none finds it")
-    ball_center: Point | None = Field(None, description="object ball's centre, world units")
-    ball_radius: float | None = Field(None, gt=0, description="object ball's radius, world units")
-    distance: str = Field(
-        "",
-        max_length=2000,
-        description="two points marked in photos, in pixels, and metres between them; empty: none",
-    )
+from refdgs_pipe.sfm.settings import GateParams
 
 
 @stage(version=2)

@@ -1,34 +1,9 @@
 """Read the user's photos, whatever they are, into one uniform folder."""
 
-from typing import Literal
-
-from pydantic import Field
-
 from refdgs_pipe.artifacts.capture import Capture
 from refdgs_pipe.artifacts.views import Views
-from refdgs_pipe.params import Params
+from refdgs_pipe.imaging.settings import IngestParams
 from refdgs_pipe.pipeline.stage import Job, stage
-
-
-class IngestParams(Params):
-    """How photos are read."""
-
-    max_side: int = Field(
-        1600, ge=64, le=16384, description="longer photos are reduced to this long side, in pixels"
-    )
-    placing_side: int = Field(
-        1600, ge=64, le=16384, description="least long side for structure from motion, in pixels"
-    )
-    video_frames: int = Field(
-        80, ge=3, le=2000, description="frames taken of a video at most, a count"
-    )
-    holdout: int = Field(
-        8, ge=0, le=1000, description="hold out every n-th of 16 or more photos, a count; 0: none"
-    )
-    split: Literal["auto", "nero", "every8"] = Field(
-        "auto", description="held out: auto, as the data set says, else by holdout; nero; every8"
-    )
-    chart: Literal["auto", "off"] = Field("auto", description="correct by a colour chart in sight")
 
 
 @stage(version=6, programs=("opencv-contrib-python-headless", "pillow", "rawpy", "pi-heif"))

@@ -22,24 +22,30 @@ def train(
     import torch
 
     from refdgs_pipe.surface.own import own_surface
-    from refdgs_pipe.training.budget import planned, train_within
+    from refdgs_pipe.training.budget import Load, planned, train_within
     from refdgs_pipe.training.render import render_surface_map
-    from refdgs_pipe.training.trainer import Trainer
+    from refdgs_pipe.training.trainer import Figures, Trainer
 
     def surface(field: SurfelField) -> Mesh:
         draw = partial(render_surface_map, field, device=job.device, threads=job.threads)
         return own_surface(model.placed(field.poses), draw, track=job.track, stop=job.stop)
 
     views = masks.applied(views, model.names)
+
+    def tell(step: int, steps: int, now: Figures, work: float) -> None:
+        job.sample(step, steps, loss=now.loss, psnr=now.psnr, surfels=now.surfels)
+        job.progress("training", step, steps, now.words, work)
+
     looking = partial(job.progress, "looking for a start")
     torch.set_num_threads(job.threads)
+    load = Load(params, job.cuda_graph)
     if job.device == "cuda":
-        params = planned(params, model, vram=job.vram, warn=job.warn)
-    given = {"device": job.device, "warn": job.warn, "starting": looking, "surface": surface}
+        load = planned(load, model, vram=job.vram, warn=job.warn)
+    given = partial(Trainer, views, model, scratch=job.scratch, device=job.device, warn=job.warn)
     trainer, field = train_within(
-        lambda p: Trainer(views, model, p, job.scratch, **given),
-        params,
-        partial(job.progress, "training"),
+        lambda x: given(x.params, cuda_graph=x.cuda_graph, starting=looking, surface=surface),
+        load,
+        tell,
         job.warn,
     )
     shown = trainer.coverage(field)

@@ -3,14 +3,15 @@
 import json
 import os
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
+from typing import ClassVar, Self
 
 from pydantic import Field
 
 from refdgs_pipe.errors import CaptureError, MeshError, TrainingError
-from refdgs_pipe.params import Params
+from refdgs_pipe.params import Former, Params
 from refdgs_pipe.pipeline.stage import Job, Stage, stage
 
 
@@ -70,6 +71,10 @@ class ReadParams(Params):
 class ShoutParams(Params):
     """How loud."""
 
+    former: ClassVar[Mapping[str, Former]] = {
+        "volume": Former(("low", "high"), "the option --cuda-graph")
+    }
+
     marks: int = Field(1, ge=0, le=9, description="exclamation marks, a count")
     mood: str = Field("calm", max_length=20, description="how it feels, a word")
 
@@ -107,6 +112,8 @@ def shout(words: Words, params: ShoutParams, job: Job) -> Shout:
         (job.scratch / "new").write_text(str(step + 1))
         (job.scratch / "new").replace(note)
     job.measure("resumed at", done)
+    if job.cuda_graph is not None:
+        job.measure("recorded", str(job.cuda_graph))
     if params.mood == "mute":
         raise MeshError("no voice. Set shout.mood")
     return Shout(words.text.upper() + "!" * params.marks)

@@ -12,6 +12,7 @@ from scenes import orbit
 
 from refdgs_pipe.artifacts.appearance import Appearance
 from refdgs_pipe.artifacts.asset import Asset
+from refdgs_pipe.artifacts.masks import Masks
 from refdgs_pipe.artifacts.mesh import Mesh, RawMesh
 from refdgs_pipe.artifacts.object_figures import ObjectFigures
 from refdgs_pipe.artifacts.placement import Attempt, Evidence, Placement, Poses
@@ -179,6 +180,7 @@ def steps(
         "ingest": views,
         "sfm": lambda folder: placement or Placement(None, known=True),
         "gate": lambda folder: model(),
+        "masks": lambda folder: Masks(folder, (), "none", "no plane"),
         "train": lambda folder: field(),
         "extract": lambda folder: RawMesh(mesh.mesh.vertices, mesh.mesh.faces),
         "clean": lambda folder: Mesh(mesh.mesh.vertices, mesh.mesh.faces),

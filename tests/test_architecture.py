@@ -79,6 +79,13 @@ def test_every_module_and_public_function_says_what_it_is() -> None:
     assert silent == []
 
 
+def test_strict_types_are_asked_of_every_package_and_given_to_users() -> None:
+    mypy = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["mypy"]
+    assert mypy["strict"]
+    assert {label(path).partition("/")[0] for path in modules()} == set(mypy["packages"])
+    assert (ROOT / "refdgs_pipe" / "py.typed").is_file()
+
+
 def test_no_module_is_called_by_a_name_that_says_nothing() -> None:
     empty = {"utils", "util", "helpers", "common", "core", "base", "types", "misc"}
     assert [label(path) for path in modules() if path.stem in empty] == []

@@ -1,5 +1,6 @@
 """Laws of recipes: what they may say, what wins, and how mistakes are answered."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -83,6 +84,37 @@ def test_mistakes_are_named_with_their_place(tmp_path: Path, text: str, words: s
     assert words in str(caught.value)
     if "glosy" not in words:
         assert name in str(caught.value)
+
+
+def test_train_cuda_graph_is_an_option_now_and_keys_still_hold_it() -> None:
+    said: list[str] = []
+    models = {stage.name: stage.params for stage in load_stages()}
+    found, text = recipe.load("glossy"), "train.cuda_graph=off"
+    settings = recipe.resolve(found, [text], models, tell=said.append)
+    assert said == [
+        f"--set {text}: train.cuda_graph is now the option --cuda-graph, and is ignored here"
+    ]
+    hashed = settings["train"].hashed()
+    assert [params["cuda_graph"] for params in hashed] == ["auto", "on", "off"]
+    assert recipe.without_former([text, "train.seed=1"], models) == ("train.seed=1",)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("train.environment_height=100", "expected a power of two, such as 64 or 128"),
+        ("bake.size=1000", "expected a power of two, such as 512 or 1024"),
+        ("ingest.holdout=1", "expected 0, for none, or at least 2: 1 leaves no photo to train on"),
+        ("gate.up=[0, 0, 0]", "expected a direction, such as [0, 0, 1]"),
+        ("gate.distance=a.jpg 0.23", "'a.jpg' is no mark in a photo"),
+        ("train.rate_means=nan", "expected a finite number"),
+        ("gate.ball_radius=inf", "expected a finite number"),
+    ],
+)
+def test_values_that_cannot_work_are_refused_before_any_work(text: str, words: str) -> None:
+    models = {stage.name: stage.params for stage in load_stages()}
+    with pytest.raises(InputError, match=re.escape(words)):
+        recipe.resolve(recipe.load("glossy"), [text], models)
 
 
 def test_a_wrong_value_is_answered_with_the_meaning_limits_and_default() -> None:

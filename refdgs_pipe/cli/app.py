@@ -11,11 +11,10 @@ import typer
 from refdgs_pipe import __version__, recipe
 from refdgs_pipe.cli import workspace as spaces
 from refdgs_pipe.cli.check import check_command
-from refdgs_pipe.cli.device import bytes_of
+from refdgs_pipe.cli.device import bytes_of, let_waiting_threads_sleep
 from refdgs_pipe.cli.logs import keep_traceback
 from refdgs_pipe.cli.mat import mat_command
 from refdgs_pipe.cli.running import Options, make, print_plan, steps_json
-from refdgs_pipe.cli.workspace import Memory, Workspace
 from refdgs_pipe.errors import Cancelled, InputError, RefdgsError
 from refdgs_pipe.wording import duration, size
 
@@ -40,6 +39,10 @@ Json = Annotated[bool, typer.Option("--json", help="print one JSON object on std
 Device = Annotated[str, typer.Option("--device", help="auto, cpu or cuda")]
 Threads = Annotated[int, typer.Option("--threads", min=0, help="CPU threads; 0: every core")]
 Vram = Annotated[str, typer.Option("--vram", help="GPU memory to keep within", metavar="8GB")]
+CudaGraph = Annotated[
+    bool | None,
+    typer.Option("--cuda-graph/--no-cuda-graph", help="repeat recorded GPU steps [if equal]"),
+]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="only warnings and errors")]
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="every measured figure too")]
 Strict = Annotated[bool, typer.Option("--strict", help="exit with 3 on warnings or a poor verdict")]
@@ -83,6 +86,7 @@ def run_command(
     dry_run: DryRun = False,
     device: Device = "auto",
     vram: Vram = "",
+    cuda_graph: CudaGraph = None,
     threads: Threads = 0,
     as_json: Json = False,
     strict: Strict = False,
@@ -92,7 +96,7 @@ def run_command(
     """Make the asset, and whatever of the way to it is missing."""
     limit = bytes_of(vram)
     sized = [] if longest is None else [f"export.longest={longest}"]
-    space = _open_for_run(photos, workspace, recipe_name, [*(assignments or []), *sized])
+    space = spaces.open_for_run(photos, workspace, recipe_name, [*(assignments or []), *sized])
     again = {space.stage_name(name) for name in force or []}
     if start is not None:
         again |= space.pipeline.following(space.stage_name(start))
@@ -102,8 +106,8 @@ def run_command(
         print_plan(space, until, again, as_json=as_json)
         return
     verbosity = 0 if quiet else 2 if verbose else 1
-    options = Options(until, frozenset(again), device, threads, as_json, strict, verbosity, limit)
-    raise typer.Exit(make(space, options))
+    how = (device, threads, as_json, strict, verbosity, limit, cuda_graph)
+    raise typer.Exit(make(space, Options(until, frozenset(again), *how)))
 
 
 app.command("check")(check_command)
@@ -115,6 +119,7 @@ def rerun_command(
     stage: Annotated[str, typer.Argument(help="the stage to make again", metavar="STAGE")],
     device: Device = "auto",
     vram: Vram = "",
+    cuda_graph: CudaGraph = None,
     threads: Threads = 0,
     as_json: Json = False,
     strict: Strict = False,
@@ -125,8 +130,8 @@ def rerun_command(
     space = spaces.open_workspace(workspace)
     again = frozenset({space.stage_name(stage)})
     verbosity = 0 if quiet else 2 if verbose else 1
-    options = Options(None, again, device, threads, as_json, strict, verbosity, bytes_of(vram))
-    raise typer.Exit(make(space, options))
+    how = (device, threads, as_json, strict, verbosity, bytes_of(vram), cuda_graph)
+    raise typer.Exit(make(space, Options(None, again, *how)))
 
 
 @app.command("status")
@@ -327,7 +332,7 @@ def recipe_show_command(
 
     found = recipe.load(name)
     models = {stage.name: stage.params for stage in load_stages()}
-    settings = recipe.resolve(found, assignments or [], models)
+    settings = recipe.resolve(found, assignments or [], models, tell=spaces.note)
     if as_json:
         _print_json({stage: params.model_dump(mode="json") for stage, params in settings.items()})
         return
@@ -337,10 +342,7 @@ def recipe_show_command(
 
 def main() -> None:
     """Run the command line. Errors meant for users have no traceback; others go to a log."""
-    # OpenMP threads that wait by spinning make a busy machine several times slower; threads that
-    # sleep at once make a quiet one a third slower. 20 000 turns are some 50 microseconds.
-    os.environ.setdefault("OMP_WAIT_POLICY", "passive")
-    os.environ.setdefault("GOMP_SPINCOUNT", "20000")
+    let_waiting_threads_sleep()
     try:
         app(prog_name="refdgs-pipe")
     except RefdgsError as error:
@@ -361,21 +363,6 @@ def main() -> None:
             file=sys.stderr,
         )
         sys.exit(RefdgsError.exit_code)
-
-
-def _open_for_run(
-    photos: list[Path], root: Path | None, recipe_name: str | None, assignments: list[str]
-) -> Workspace:
-    """The workspace of the given photos; or the given workspace, with what it remembers."""
-    if root is None and len(photos) == 1 and spaces.is_workspace(photos[0]):
-        memory = spaces.remembered(photos[0], recipe_name, assignments)
-        return spaces.open_workspace(photos[0], memory)
-    absolute = tuple(spaces.absolute(path) for path in photos)
-    name = spaces.absolute_recipe(recipe_name or recipe.DEFAULT)
-    memory = Memory(absolute, name, tuple(assignments))
-    space = spaces.open_workspace(root or spaces.default_root(photos), memory)
-    space.source.files()  # a missing or empty folder is said before a workspace is made
-    return space
 
 
 def _print_json(record: Any) -> None:

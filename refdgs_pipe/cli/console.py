@@ -52,7 +52,7 @@ class Console:
 
     Args:
         expected: how long each stage still to be made took last time, seconds; None: not known.
-        verbosity: 0 warnings and errors only, 1 normal, 2 with every measured figure.
+        verbosity: -1 silent, 0 warnings and errors only, 1 normal, 2 with every measured figure.
     """
 
     def __init__(self, expected: Mapping[str, float | None], *, verbosity: int = 1) -> None:
@@ -63,7 +63,7 @@ class Console:
         self._first = True
         self._bar: Any = None
         self._task: Any = None
-        if verbosity and sys.stderr.isatty():
+        if verbosity > 0 and sys.stderr.isatty():
             self._bar = _make_bar()
 
     def __enter__(self) -> Self:

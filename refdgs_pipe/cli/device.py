@@ -116,6 +116,16 @@ def described(archs: str) -> str:
     return " ".join(compiled + ptx)
 
 
+def let_waiting_threads_sleep() -> None:
+    """Choose how OpenMP threads wait, unless the user did; before a library that has them loads.
+
+    Threads that wait by spinning make a busy machine several times slower; threads that sleep at
+    once make a quiet one a third slower. 20 000 turns are some 50 microseconds.
+    """
+    os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+    os.environ.setdefault("GOMP_SPINCOUNT", "20000")
+
+
 def core_count() -> int:
     """The cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import IO, Any
 
 from refdgs_pipe.errors import RefdgsError
-from refdgs_pipe.pipeline.events import Event, Progress
+from refdgs_pipe.pipeline.events import Event, Progress, Sampled
 
 KEPT = 50  # older logs go
-EVERY_S = 2.0  # at most one line of progress in this time
+EVERY_S = 2.0  # at most one line of progress and one of figures in this time
 
 
 class RunLog:
@@ -24,7 +24,7 @@ class RunLog:
         stamp = time.strftime("%Y%m%d-%H%M%S", time.gmtime())
         self.path = root / "logs" / f"{stamp}-{os.getpid()}.jsonl"
         self._file: IO[str] | None = None
-        self._last_progress = 0.0
+        self._last: dict[type[Event], float] = {}
         with suppress(OSError):
             self.path.parent.mkdir(parents=True, exist_ok=True)
             for old in sorted(self.path.parent.glob("*.jsonl"))[: -KEPT + 1]:
@@ -32,11 +32,11 @@ class RunLog:
             self._file = self.path.open("w", encoding="utf-8", buffering=1)
 
     def __call__(self, event: Event) -> None:
-        now = time.monotonic()
-        if isinstance(event, Progress):
-            if now - self._last_progress < EVERY_S and event.done != event.total:
+        if isinstance(event, Progress | Sampled):
+            now, kind = time.monotonic(), type(event)
+            if now - self._last.get(kind, -EVERY_S) < EVERY_S and not _is_last(event):
                 return
-            self._last_progress = now
+            self._last[kind] = now
         self.write(type(event).__name__.lower(), **asdict(event))
 
     def write(self, event: str, **record: Any) -> None:
@@ -59,6 +59,12 @@ class RunLog:
         if self._file is not None:
             with suppress(OSError):
                 self._file.close()
+
+
+def _is_last(event: Progress | Sampled) -> bool:
+    if isinstance(event, Sampled):
+        return event.step == event.steps
+    return event.done == event.total
 
 
 def keep_traceback(error: Exception) -> str:

@@ -39,6 +39,7 @@ class Options:
     strict: bool = False
     verbosity: int = 1
     vram: int = 0  # bytes, 0: no limit
+    cuda_graph: bool | None = None  # None: where recorded steps prove equal
 
 
 def make(workspace: Workspace, options: Options) -> int:
@@ -132,6 +133,7 @@ def _run_logged(
             device=lambda: choose_device(options.device),
             threads=options.threads or core_count(),
             vram=options.vram,
+            cuda_graph=options.cuda_graph,
             stop=stopper.stop,
             publish=PUBLISHED,
         )

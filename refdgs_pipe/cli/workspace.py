@@ -2,9 +2,10 @@
 
 import json
 import os
-from collections.abc import Sequence
+import sys
+from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -133,8 +134,18 @@ def is_workspace(path: Path) -> bool:
     return (path / MEMORY).is_file()
 
 
-def open_workspace(root: Path, memory: Memory | None = None) -> Workspace:
+def note(text: str) -> None:
+    """Tell the user something that ends no run."""
+    print(f"note: {text}", file=sys.stderr)
+
+
+def open_workspace(
+    root: Path, memory: Memory | None = None, *, tell: Callable[[str], None] = note
+) -> Workspace:
     """Open a workspace with the given source and settings, or with those it remembers.
+
+    Args:
+        tell: hears of remembered settings that are none any more.
 
     Raises:
         InputError: it is not a workspace, or the settings are wrong.
@@ -143,10 +154,38 @@ def open_workspace(root: Path, memory: Memory | None = None) -> Workspace:
     memory = memory or Memory.read(root)
     pipeline = catalog.build(Store(root))
     models = {stage.name: stage.params for stage in pipeline.stages}
-    settings = recipe.resolve(recipe.load(memory.recipe), memory.assignments, models)
+    found = recipe.load(memory.recipe)
+    settings = recipe.resolve(found, memory.assignments, models, tell=tell)
     settings = _with_recipe_name(settings, memory.recipe)
+    memory = replace(memory, assignments=recipe.without_former(memory.assignments, models))
     make: Any = pipeline.source
     return Workspace(root, memory, pipeline, make(paths=memory.photos), settings)
+
+
+def open_for_run(
+    photos: Sequence[Path],
+    root: Path | None,
+    recipe_name: str | None,
+    assignments: Sequence[str],
+    *,
+    tell: Callable[[str], None] = note,
+) -> Workspace:
+    """The workspace of the given photos; or the given workspace, with what it remembers.
+
+    Args:
+        root: where the workspace is or will be; None: see `default_root`.
+
+    Raises:
+        InputError: the settings are wrong.
+        CaptureError: there are no photos.
+    """
+    if root is None and len(photos) == 1 and is_workspace(photos[0]):
+        return open_workspace(photos[0], remembered(photos[0], recipe_name, assignments), tell=tell)
+    name = absolute_recipe(recipe_name or recipe.DEFAULT)
+    memory = Memory(tuple(absolute(path) for path in photos), name, tuple(assignments))
+    space = open_workspace(root or default_root(photos), memory, tell=tell)
+    space.source.files()  # a missing or empty folder is said before a workspace is made
+    return space
 
 
 def _with_recipe_name(settings: dict[str, Params], name: str) -> dict[str, Params]:

@@ -1,6 +1,6 @@
 """What happens during a run, as data. Stages emit events; the console, log and viewer listen."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -32,8 +32,18 @@ class Progress:
     label: str
     done: int
     total: int | None
-    note: str = ""  # live figures, such as "loss 0.031 psnr 27.4"
+    note: str = ""  # live figures for people; programs read `Sampled`
     work: float | None = None
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """Figures of the running stage as they are at one of its steps: the points of its curves."""
+
+    stage: str
+    step: int
+    steps: int
+    figures: Mapping[str, float]  # name -> value
 
 
 @dataclass(frozen=True)
@@ -69,5 +79,5 @@ class Finished:
     seconds: float
 
 
-Event: TypeAlias = Reused | Started | Progress | Measured | Warned | Damaged | Finished
+Event: TypeAlias = Reused | Started | Progress | Sampled | Measured | Warned | Damaged | Finished
 Emit: TypeAlias = Callable[[Event], None]

@@ -114,9 +114,12 @@ class Pipeline:
             makers = " and ".join(self.makers[kind].name for kind in missing)
             return Step(stage, "waiting", f"waits for {makers}", expected_s=expected)
         inputs = {name: digests[kind] for name, kind in stage.inputs.items()}
-        params = settings[stage.name].model_dump(mode="json")
         programs = {name: _version(name) for name in stage.programs}
-        plain = Origin(stage.name, stage.version, params, inputs, programs)
+        plain, *others = (
+            Origin(stage.name, stage.version, params, inputs, programs)
+            for params in settings[stage.name].hashed()
+        )
+        plain = next((o for o in (plain, *others) if self.store.knows(o)), plain)
         origin = self.store.adoption(plain)
         try:
             manifest = self.store.find(origin)
@@ -127,7 +130,8 @@ class Pipeline:
         if manifest:
             return Step(stage, "up to date", "up to date", origin, manifest, expected)
         makers_of = {n: self.makers[k].name for n, k in stage.inputs.items() if k in self.makers}
-        reason = why(plain, last, makers=makers_of, source_files=source.files)
+        former = settings[stage.name].former
+        reason = why(plain, last, makers=makers_of, source_files=source.files, former=former)
         return Step(stage, "stale" if last else "missing", reason, plain, expected_s=expected)
 
     def adopt(self, name: str, file: Path, source: Fingerprint, settings: Settings) -> Manifest:

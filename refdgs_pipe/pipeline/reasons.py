@@ -1,6 +1,6 @@
 """Why a result has to be made, in words."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 from refdgs_pipe.pipeline.store import Manifest, Origin
@@ -12,18 +12,24 @@ def why(
     *,
     makers: Mapping[str, str],
     source_files: Mapping[str, str],
+    former: Collection[str] = (),
 ) -> str:
     """Say what differs between a wanted result and the one that the last run used.
 
     Args:
         makers: argument -> the stage that makes it; the source is not among them.
         source_files: name -> hash of the photos as they are now.
+        former: names of settings that are none any more, and are not spoken of.
     """
     if last is None:
         return "never run"
     old = last.origin
     changes = _version_changes(origin, old)
-    changes += _differences(_flat(old.params), _flat(origin.params))
+    before, now = (
+        _flat({name: value for name, value in params.items() if name not in former})
+        for params in (old.params, origin.params)
+    )
+    changes += _differences(before, now)
     for name, digest in origin.inputs.items():
         if digest != old.inputs.get(name):
             maker = makers.get(name)

@@ -39,6 +39,7 @@ class Request:
     device: Callable[[], str] = lambda: "cpu"
     threads: int = 1
     vram: int = 0
+    cuda_graph: bool | None = None
     stop: Flag = field(default_factory=Flag)
     publish: Mapping[str, str] = field(default_factory=dict)
 
@@ -149,6 +150,7 @@ class _Run:
                 listener,
                 self.request.stop,
                 self.request.vram,
+                self.request.cuda_graph,
             )
             try:
                 artifact: Artifact = stage.run(**inputs, params=self.settings[stage.name], job=job)

@@ -8,7 +8,7 @@ from typing import Any, Protocol, Self, TypeVar, get_type_hints
 
 from refdgs_pipe.errors import Cancelled
 from refdgs_pipe.params import Params
-from refdgs_pipe.pipeline.events import Emit, Measured, Progress, Warned
+from refdgs_pipe.pipeline.events import Emit, Measured, Progress, Sampled, Warned
 
 T = TypeVar("T")
 
@@ -42,6 +42,7 @@ class Job:
     emit: Emit
     stop: Flag = field(default_factory=Flag)
     vram: int = 0  # bytes of GPU memory to keep within, 0: all that is free
+    cuda_graph: bool | None = None  # repeat recorded GPU steps; None: where they prove equal
 
     def track(self, items: Iterable[T], label: str) -> Iterator[T]:
         """Yield the items, reporting progress. Every step is a safe point to cancel.
@@ -70,6 +71,10 @@ class Job:
         if self.stop.is_set():
             raise Cancelled(f"stopped during {label}")
         self.emit(Progress(self.stage, label, done, total, note, work))
+
+    def sample(self, step: int, steps: int, **figures: float) -> None:
+        """Tell figures as they are at one of the stage's steps; the log keeps them as a curve."""
+        self.emit(Sampled(self.stage, step, steps, figures))
 
     def measure(self, name: str, value: float | int | str, unit: str = "") -> None:
         """Record a figure about the result; it is kept in the manifest."""

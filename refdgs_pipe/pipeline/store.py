@@ -113,6 +113,11 @@ class Store:
         """Where the result with this origin is, or would be."""
         return self.root / origin.stage / origin.key
 
+    def knows(self, origin: Origin) -> bool:
+        """Whether a result with this origin is there, was begun, or is stood in for."""
+        begun = self.folder(origin).is_dir() or self._scratch(origin).is_dir()
+        return begun or self.adoption(origin) != origin
+
     def find(self, origin: Origin) -> Manifest | None:
         """The record of a finished result, after a look at its files' sizes.
 

@@ -1,7 +1,6 @@
 """What a workspace holds, as the report needs it: each stage's result, and what the logs say."""
 
 import json
-import re
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -15,7 +14,6 @@ from refdgs_pipe.pipeline.stage import Artifact
 from refdgs_pipe.pipeline.store import Manifest, Store
 
 T = TypeVar("T", bound=Artifact)
-_FIGURES = re.compile(r"loss\s+(\S+)\s+PSNR\s+(\S+)")
 
 
 @dataclass(frozen=True)
@@ -230,10 +228,10 @@ def _curve(
 
 def _points(run: list[dict[str, Any]]) -> Iterator[tuple[int, float, float]]:
     for event in run:
-        is_training = event["event"] == "progress" and event.get("stage") == "train"
-        if is_training and (found := _FIGURES.search(str(event.get("note", "")))):
-            with suppress(ValueError, TypeError, KeyError):
-                yield int(event["done"]), float(found[1]), float(found[2])
+        if event["event"] == "sampled" and event.get("stage") == "train":
+            with suppress(ValueError, TypeError, KeyError):  # a log may be damaged
+                figures = event["figures"]
+                yield int(event["step"]), float(figures["loss"]), float(figures["psnr"])
 
 
 def _events(path: Path) -> Iterator[dict[str, Any]]:

@@ -1,7 +1,7 @@
 """What a run needs of a GPU's memory, and smaller settings where there is less."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 
@@ -24,6 +24,18 @@ CAPS = ("surfels", "max_surfels", "local_surfels", "max_local_surfels", "backgro
 
 
 @dataclass(frozen=True)
+class Load:
+    """What a GPU is asked to do.
+
+    Args:
+        cuda_graph: whether recorded steps are repeated; None: where they prove equal.
+    """
+
+    params: TrainParams
+    cuda_graph: bool | None = None
+
+
+@dataclass(frozen=True)
 class Need:
     """Bytes of GPU memory by what asks for them."""
 
@@ -37,8 +49,9 @@ class Need:
         return self.pixels + self.surfels + self.fixed
 
 
-def need_of(params: TrainParams, model: SparseModel) -> Need:
-    """What training with these settings takes at its largest."""
+def need_of(load: Load, model: SparseModel) -> Need:
+    """What training takes at its largest."""
+    params = load.params
     cameras = [camera for camera in model.cameras if camera.split == "train"]
     sizes = []
     for camera in cameras:
@@ -49,7 +62,7 @@ def need_of(params: TrainParams, model: SparseModel) -> Need:
     if params.reflection and params.local == "dual":
         surfels += params.max_local_surfels
     numbers = params.environment_height**2 * 2 * 4 if params.reflection else 0
-    times = 1 if params.cuda_graph == "off" else 2
+    times = 1 if load.cuda_graph is False else 2
     return Need(
         int(kept + times * max(sizes, default=0.0) * PER_PIXEL),
         times * surfels * PER_SURFEL,
@@ -57,8 +70,8 @@ def need_of(params: TrainParams, model: SparseModel) -> Need:
     )
 
 
-def fitted(params: TrainParams, model: SparseModel, budget: int) -> TrainParams:
-    """The settings, made smaller until they need no more than `budget` bytes.
+def fitted(load: Load, model: SparseModel, budget: int) -> Load:
+    """The load, made smaller until it needs no more than `budget` bytes.
 
     Steps are no longer recorded, unless they must be; then whichever of pixels and surfels takes
     more is lowered first.
@@ -66,38 +79,36 @@ def fitted(params: TrainParams, model: SparseModel, budget: int) -> TrainParams:
     Raises:
         DeviceError: even the smallest settings need more.
     """
-    while (need := need_of(params, model)).total > budget:
-        smaller = _unrecorded(params)
-        if smaller == params:
-            smaller = _smaller(params, pixels=need.pixels >= need.surfels)
-        if smaller == params:
+    while (need := need_of(load, model)).total > budget:
+        smaller = _unrecorded(load)
+        if smaller == load:
+            smaller = _smaller(load, pixels=need.pixels >= need.surfels)
+        if smaller == load:
             raise DeviceError(
                 f"training needs at least {need.total / 1e9:.1f} GB of GPU memory and may use "
                 f"{budget / 1e9:.1f} GB: give more by --vram, free the GPU, or use --device cpu"
             )
-        params = smaller
-    return params
+        load = smaller
+    return load
 
 
-def planned(
-    params: TrainParams, model: SparseModel, *, vram: int, warn: Callable[[str], None]
-) -> TrainParams:
-    """Settings that fit the GPU's free memory and `vram` bytes (0: no limit); says what changed.
+def planned(load: Load, model: SparseModel, *, vram: int, warn: Callable[[str], None]) -> Load:
+    """A load that fits the GPU's free memory and `vram` bytes (0: no limit); says what changed.
 
     Raises:
         DeviceError: nothing fits.
     """
     budget = int(SPARE * torch.cuda.mem_get_info()[0])
     budget = min(budget, vram) if vram else budget
-    fitting = fitted(params, model, budget)
-    if fitting != params:
-        warn(f"{budget / 1e9:.1f} GB of GPU memory: {changes(params, fitting)}")
+    fitting = fitted(load, model, budget)
+    if fitting != load:
+        warn(f"{budget / 1e9:.1f} GB of GPU memory: {changes(load, fitting)}")
     return fitting
 
 
 def train_within(
-    make: Callable[[TrainParams], Trainer],
-    params: TrainParams,
+    make: Callable[[Load], Trainer],
+    load: Load,
     progress: Progress,
     warn: Callable[[str], None],
 ) -> tuple[Trainer, SurfelField]:
@@ -108,49 +119,49 @@ def train_within(
     """
     for turn in range(TRIES):
         try:
-            trainer = make(params)
+            trainer = make(load)
             return trainer, trainer.run(progress)
         except torch.cuda.OutOfMemoryError:
-            smaller = _smaller(_smaller(params, pixels=turn % 2 == 0), pixels=turn % 2 == 0)
+            smaller = _smaller(_smaller(load, pixels=turn % 2 == 0), pixels=turn % 2 == 0)
             smaller = _unrecorded(smaller)
         # after the except clause: until its end the failed step's tensors are alive
         torch.cuda.empty_cache()
-        if smaller == params:
+        if smaller == load:
             break
-        warn(f"the GPU's memory ran out: {changes(params, smaller)}")
-        params = smaller
+        warn(f"the GPU's memory ran out: {changes(load, smaller)}")
+        load = smaller
+    params = load.params
     raise DeviceError(
         f"the GPU's memory runs out even at {params.max_side} pixels and {params.max_surfels} "
         "surfels: free the GPU, or use --device cpu"
     )
 
 
-def changes(before: TrainParams, after: TrainParams) -> str:
+def changes(before: Load, after: Load) -> str:
     """What differs, in words."""
-    parts = []
-    if after.max_side != before.max_side:
-        parts.append(f"training at {after.max_side} instead of {before.max_side} pixels")
-    if after.max_surfels != before.max_surfels:
-        parts.append(f"at most {after.max_surfels} instead of {before.max_surfels} surfels")
+    old, new, parts = before.params, after.params, []
+    if new.max_side != old.max_side:
+        parts.append(f"training at {new.max_side} instead of {old.max_side} pixels")
+    if new.max_surfels != old.max_surfels:
+        parts.append(f"at most {new.max_surfels} instead of {old.max_surfels} surfels")
     if after.cuda_graph != before.cuda_graph:
         parts.append("steps are not recorded")
     return ", ".join(parts)
 
 
-def _unrecorded(params: TrainParams) -> TrainParams:
-    return (
-        params.model_copy(update={"cuda_graph": "off"}) if params.cuda_graph == "auto" else params
-    )
+def _unrecorded(load: Load) -> Load:
+    return replace(load, cuda_graph=False) if load.cuda_graph is None else load
 
 
-def _smaller(params: TrainParams, *, pixels: bool) -> TrainParams:
+def _smaller(load: Load, *, pixels: bool) -> Load:
     """One step down, of the image side or of all counts of surfels; of the other at the least."""
+    params = load.params
     side = max(LEAST_SIDE, int(params.max_side * SMALLER_SIDE))
     counts = {name: _fewer(getattr(params, name)) for name in CAPS}
     shrinks, thins = side < params.max_side, counts["max_surfels"] < params.max_surfels
     if shrinks and (pixels or not thins):
-        return params.model_copy(update={"max_side": side})
-    return params.model_copy(update=counts) if thins else params
+        return replace(load, params=params.model_copy(update={"max_side": side}))
+    return replace(load, params=params.model_copy(update=counts)) if thins else load
 
 
 def _fewer(count: int) -> int:

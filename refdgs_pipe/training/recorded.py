@@ -218,7 +218,7 @@ class RecordedSteps:
         self._recorder = None
         why = f"steps could not be recorded for the GPU: {error}"
         if self._insists:
-            raise TrainingError(f"{why}. Set train.cuda_graph to auto or off") from error
+            raise TrainingError(f"{why}. Run without --cuda-graph") from error
         if self._warn is not None:
             self._warn(f"{why}. Training goes on without, more slowly")
 

@@ -1,14 +1,19 @@
 """Every setting of a training run. Times are fractions of the run: a recipe can scale it."""
 
-from typing import Literal
+from collections.abc import Mapping
+from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from refdgs_pipe.params import Params
+from refdgs_pipe.params import Former, Params, PowerOfTwo
 
 
 class TrainParams(Params):
     """Ref-DGS training. Defaults are the `glossy` recipe."""
+
+    former: ClassVar[Mapping[str, Former]] = {
+        "cuda_graph": Former(("auto", "on", "off"), "the option --cuda-graph")
+    }
 
     iterations: int = Field(5000, ge=1, le=200_000, description="optimiser steps")
     max_side: int = Field(
@@ -40,7 +45,7 @@ class TrainParams(Params):
         le=1,
         description="fraction of the run after which reflections join, where there are masks",
     )
-    environment_height: int = Field(
+    environment_height: PowerOfTwo = Field(
         256,
         ge=16,
         le=1024,
@@ -50,11 +55,6 @@ class TrainParams(Params):
         True,
         description="the shader's network multiplies bfloat16 numbers where the CPU can: faster, "
         "equal in quality, but other CPUs give slightly other results",
-    )
-    cuda_graph: Literal["auto", "on", "off"] = Field(
-        "auto",
-        description="a GPU repeats recorded steps without the CPU: where they prove equal, always "
-        "(or an error), or never",
     )
     diffuse_bias: float = Field(
         2.0, ge=0, le=10, description="initial diffuse is exp(-bias)/5: 0 bright, 2 dark"

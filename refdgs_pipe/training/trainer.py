@@ -43,7 +43,21 @@ class Moment:
     backdrop: Tensor  # (3,) sRGB, on the CPU
 
 
-Progress = Callable[[int, int, str, float], None]  # step, steps, figures, share of the work
+@dataclass(frozen=True)
+class Figures:
+    """How a run goes: running means of the loss and of the PSNR in dB, and geometry surfels."""
+
+    loss: float
+    psnr: float
+    surfels: int
+
+    @property
+    def words(self) -> str:
+        """For people."""
+        return f"loss {self.loss:.4f}  PSNR {self.psnr:.2f} dB  {self.surfels} surfels"
+
+
+Progress = Callable[[int, int, Figures, float], None]  # step, steps, share of the work
 CHECKPOINT_SECONDS = 30.0
 REPORT_STEPS = 10
 COVERAGE_VIEWS = 6
@@ -55,6 +69,8 @@ class Trainer:
 
     Args:
         device: where the steps are computed, "cpu" or "cuda"; results are on the CPU.
+        cuda_graph: whether recorded steps are repeated on a GPU: always (or an error), never, or
+            (None) where they prove equal.
         photos: those of the views, if they are in memory already.
         warn: told what does not go as it should and does not end the run.
         starting: told the steps done and their number while the start is looked for; may raise.
@@ -69,6 +85,7 @@ class Trainer:
         scratch: Path,
         *,
         device: str = "cpu",
+        cuda_graph: bool | None = None,
         photos: list[TrainingPhoto] | None = None,
         warn: Callable[[str], None] | None = None,
         starting: Callable[[int, int], None] | None = None,
@@ -114,23 +131,23 @@ class Trainer:
         self.surface, self.warn = surface, warn
         self.renewed = surface is None or params.renew_at >= 1
         self.refused, self.calm = "", False
-        self.iteration = 0
-        self.loss, self.psnr = math.nan, math.nan
+        self.iteration, self.loss, self.psnr = 0, math.nan, math.nan
         self.curve: list[tuple[int, float, float]] = []
         self.plan = None if device == "cpu" else Plan(device)
-        recorder, insists = self._recorder(), params.cuda_graph == "on"
+        recorder, insists = self._recorder(cuda_graph), cuda_graph is True
         self.steps = RecordedSteps(self.field, recorder, insists=insists, warn=warn)
         self._later: Later[tuple[Moment, Asked]] = Later(device)  # loss, squared errors, needs
 
-    def _recorder(self) -> Recorder | None:
+    def _recorder(self, wanted: bool | None) -> Recorder | None:
         """What records a GPU's steps, where they can be and may be."""
-        wanted, refines = self.params.cuda_graph, self.field.poses is not None
-        if wanted == "on" and refines:
+        refines = self.field.poses is not None
+        if wanted and refines:
             raise TrainingError(
-                "steps that refine poses cannot be recorded: set train.cuda_graph to auto or off, "
-                "or train.poses to fixed"
+                "steps that refine poses cannot be recorded: run without --cuda-graph, or set "
+                "train.poses to fixed"
             )
-        return Recorder() if self.device == "cuda" and wanted != "off" and not refines else None
+        may = wanted is not False and not refines
+        return Recorder() if self.device == "cuda" and may else None
 
     def run(self, progress: Progress) -> SurfelField:
         """Train to the end, or until `progress` raises; a checkpoint is kept either way.
@@ -148,10 +165,9 @@ class Trainer:
                 if self.iteration % REPORT_STEPS == 0 or last:
                     if self.params.patience > 0:
                         self._skip_a_plateau()
-                    count = len(self.field.geometry)
-                    note = f"loss {self.loss:.4f}  PSNR {self.psnr:.2f} dB  {count} surfels"
+                    figures = Figures(self.loss, self.psnr, len(self.field.geometry))
                     total = self.params.iterations - self.skipped
-                    progress(self.iteration, total, note, self._behind())
+                    progress(self.iteration, total, figures, self._behind())
                 if time.monotonic() - saved > CHECKPOINT_SECONDS:
                     self.save()
                     saved = time.monotonic()

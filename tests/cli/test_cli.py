@@ -199,6 +199,35 @@ def test_clean_frees_old_results(shell: Shell) -> None:
     assert shell.json("run", "letters", "--set", "shout.marks=2")["made"] == []
 
 
+def test_an_option_of_the_run_reaches_the_stages_and_changes_no_key(shell: Shell) -> None:
+    shell("run", "letters", "--cuda-graph", "-q")
+    shout = shell.json("run", "letters", "--no-cuda-graph")
+    assert shout["made"] == []
+    assert shout["stages"][1]["measures"]["recorded"] == "True"
+    record = shell.json("rerun", "letters.refdgs", "shout", "--no-cuda-graph")
+    assert record["stages"][1]["measures"]["recorded"] == "False"
+
+
+def test_a_setting_that_is_an_option_now_is_named_and_the_workspace_opens(shell: Shell) -> None:
+    (shell.root / "mine.toml").write_text("[shout]\nmarks = 2\nvolume = 'high'\n")
+    shell("run", "letters", "--recipe", "mine.toml", "-q")
+    note = shell.work / "workspace.json"
+    record = json.loads(note.read_text())
+    note.write_text(json.dumps(record | {"set": ["shout.volume=low", "shout.mood=glad"]}))
+    said = shell("status", "letters.refdgs").stderr
+    words = "note: --set shout.volume=low: shout.volume is now the option --cuda-graph, and is"
+    assert words in said
+    said = shell("run", "letters.refdgs", "-q").stderr
+    assert words in said
+    assert json.loads(note.read_text())["set"] == ["shout.mood=glad"]
+    note.write_text(json.dumps(record))
+    said = shell("status", "letters.refdgs").stderr
+    assert said == (
+        f"note: {shell.root / 'mine.toml'}: shout.volume is now the option --cuda-graph, "
+        "and is ignored here\n"
+    )
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [
@@ -211,6 +240,7 @@ def test_clean_frees_old_results(shell: Shell) -> None:
         (["run", "letters", "--set", "shout.mark=1"], 64, "Did you mean shout.marks?"),
         (["run", "letters", "--set", "shout.marks=many"], 64, 'shout.marks = "many": expected'),
         (["run", "letters", "--set", "shout.marks=10"], 64, "less than or equal to 9"),
+        (["run", "letters", "--set", "shout.marks=10", "--dry-run"], 64, "less than or equal to 9"),
         (["run", "letters", "--until", "shot"], 64, "no stage is called 'shot'"),
         (["run", "letters", "--device", "tpu"], 64, "expected auto, cpu, cuda"),
         (["run", "letters", "--vram", "lots"], 64, "expected an amount such as 8GB"),

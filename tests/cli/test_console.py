@@ -1,10 +1,22 @@
 """Laws of what a run says while it works."""
 
+import json
+from pathlib import Path
+
 import pytest
 
 from refdgs_pipe.cli import console
 from refdgs_pipe.cli.console import Console, Estimate
-from refdgs_pipe.pipeline.events import Damaged, Finished, Measured, Progress, Started, Warned
+from refdgs_pipe.cli.logs import RunLog
+from refdgs_pipe.pipeline.events import (
+    Damaged,
+    Finished,
+    Measured,
+    Progress,
+    Sampled,
+    Started,
+    Warned,
+)
 from refdgs_pipe.wording import counted, duration, figure, size
 
 
@@ -96,3 +108,15 @@ def test_verbose_says_every_figure(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_numbers_of_things_agree_with_their_nouns() -> None:
     assert [counted(n, "photo") for n in (0, 1, 2)] == ["no photos", "1 photo", "2 photos"]
+
+
+def test_the_log_keeps_some_figures_and_the_last_as_numbers(tmp_path: Path) -> None:
+    log = RunLog(tmp_path)
+    for step in (1, 2, 3):
+        log(Sampled("train", step, 3, {"loss": 1 / step}))
+        log(Progress("train", "training", step, 3))
+    log.close()
+    lines = [json.loads(line) for line in log.path.read_text().splitlines()]
+    assert [line["step"] for line in lines if line["event"] == "sampled"] == [1, 3]
+    assert [line["figures"] for line in lines if line["event"] == "sampled"][1] == {"loss": 1 / 3}
+    assert [line["done"] for line in lines if line["event"] == "progress"] == [1, 3]

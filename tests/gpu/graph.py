@@ -26,12 +26,13 @@ CLOSE = 0.05  # of the loss; every recording has proved itself on a step before
 WARM = 0.6  # of the run, after which steps are timed
 
 
-def run(options: argparse.Namespace, train: list[scenery.View], **settings: Any) -> dict[str, Any]:
-    """A short run to its end."""
+def run(options: argparse.Namespace, train: list[scenery.View], graph: str) -> dict[str, Any]:
+    """A short run to its end; `graph` is "on" or "off"."""
     few = {"iterations": options.iterations, "surfels": options.surfels, "start": "ball"}
     early = {"reflect_from": 0.1, "local_from": 0.3, "coarse_until": 0.0, "densify_every": 40}
-    params = TrainParams(**{**few, **early, **settings})
-    trainer: Trainer = training.trained(options, train, params)
+    params = TrainParams(**{**few, **early})
+    chosen = argparse.Namespace(**vars(options), graph=graph)
+    trainer: Trainer = training.trained(chosen, train, params)
     begin, warm = 0.0, int(WARM * params.iterations)
     for k in range(params.iterations):
         if k == warm:
@@ -65,9 +66,9 @@ def main() -> int:
     train, _ = scenery.procedural(options.side)
     record: dict[str, Any] = {"ok": False}
     try:
-        without = run(options, train, cuda_graph="off")
+        without = run(options, train, "off")
         record |= {"ms a step without": without["ms a step"]}
-        recorded = run(options, train, cuda_graph="on")
+        recorded = run(options, train, "on")
         same = without["state"].keys() == recorded["state"].keys()
         apart = largest(without["state"], recorded["state"]) if same else float("inf")
         record |= {

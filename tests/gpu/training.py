@@ -46,9 +46,9 @@ def trained(options: argparse.Namespace, train: list[scenery.View], params: Trai
     near = NEAR * min(float(np.linalg.norm(c.center)) for c in model.cameras)
     scratch = Path(tempfile.mkdtemp())
     photos = scenery.photos_of(train, near)
-    return Trainer(
-        views, model, params, scratch, device=options.device, photos=photos, warn=warnings.append
-    )
+    graph = {"auto": None, "on": True, "off": False}[options.graph]
+    given = {"device": options.device, "cuda_graph": graph, "warn": warnings.append}
+    return Trainer(views, model, params, scratch, photos=photos, **given)
 
 
 def usual(trainer: Trainer) -> None:
@@ -92,9 +92,7 @@ def main() -> int:
     parser.add_argument("--surfels", type=int, default=20_000)
     parser.add_argument("--graph", default="auto", choices=["auto", "on", "off"])
     options = parser.parse_args()
-    params = TrainParams(
-        iterations=options.iterations, surfels=options.surfels, cuda_graph=options.graph
-    )
+    params = TrainParams(iterations=options.iterations, surfels=options.surfels)
     if options.device == "cpu":  # where OpenCV shrinks photos
         params = params.model_copy(update={"coarse_until": 0.0})
     begin = time.monotonic()

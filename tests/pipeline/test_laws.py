@@ -19,6 +19,7 @@ from fake_stages import (
 )
 
 from refdgs_pipe.errors import Cancelled, InputError, MeshError
+from refdgs_pipe.params import Params
 from refdgs_pipe.pipeline.events import Damaged, Event, Finished, Reused, Started, Warned
 from refdgs_pipe.pipeline.plan import Pipeline
 from refdgs_pipe.pipeline.runner import Request, run
@@ -217,6 +218,39 @@ def test_a_damaged_result_is_found_before_it_is_published(scene: Scene) -> None:
     (scene.root / "work" / "asset" / "text").unlink()
     assert made(scene.run(publish=PUBLISH)) == ["export"]
     assert (scene.root / "work" / "asset" / "text").read_text().startswith("HELLO")
+
+
+class OldShoutParams(Params):
+    """Shouting, when `volume` was a setting."""
+
+    marks: int = 1
+    mood: str = "calm"
+    volume: str = "low"
+
+
+@pytest.mark.parametrize("volume", ["low", "high"])
+def test_results_of_a_setting_that_is_none_any_more_still_count(scene: Scene, volume: str) -> None:
+    former = [STAGES[0], replace(STAGES[1], params=OldShoutParams), STAGES[2]]
+    new, scene.pipeline = scene.pipeline, Pipeline(Letters, former, scene.pipeline.store)
+    scene.settings["shout"] = OldShoutParams(volume=volume)
+    scene.run()
+    scene.pipeline, scene.settings = new, dict(SETTINGS)
+    assert made(scene.run()) == []
+    scene.settings["shout"] = ShoutParams(marks=2)
+    assert scene.reasons()["shout"] == "marks 1 -> 2"
+
+
+def test_work_begun_with_a_setting_that_is_none_any_more_is_gone_on_with(scene: Scene) -> None:
+    begun = ShoutParams().hashed()[1]
+    assert begun["volume"] == "high"
+    scene.run(until="read")
+    mark = scene.pipeline.fingerprint(scene.source)
+    origin = scene.pipeline.status(mark, scene.settings)[1].origin
+    assert origin is not None
+    (scene.pipeline.store.scratch(replace(origin, params=begun)) / "done").write_text("7")
+    scene.run()
+    (step,) = [s for s in scene.pipeline.status(mark, scene.settings) if s.stage.name == "shout"]
+    assert step.manifest is not None and step.manifest.measures[0] == ("resumed at", 7, "")
 
 
 def test_measures_and_warnings_stay_with_the_result(scene: Scene) -> None:

@@ -49,10 +49,10 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Facts:
         Store(root),
         *(
             {
-                "event": "progress",
+                "event": "sampled",
                 "stage": "train",
-                "done": i,
-                "note": f"loss {1 / i:.3f}  PSNR {i}",
+                "step": i,
+                "figures": {"loss": round(1 / i, 3), "psnr": i},
             }
             for i in (10, 20, 30)
         ),
@@ -228,10 +228,10 @@ def test_what_did_not_come_to_its_end_has_a_state_instead_of_a_verdict(tmp_path:
 def test_a_resumed_training_gives_one_curve(tmp_path: Path) -> None:
     def told(step: int) -> dict[str, Any]:
         return {
-            "event": "progress",
+            "event": "sampled",
             "stage": "train",
-            "done": step,
-            "note": f"loss 0.1 PSNR {step}",
+            "step": step,
+            "figures": {"loss": 0.1, "psnr": float(step)},
         }
 
     done = {"event": "finished", "stage": "train", "seconds": finished.SECONDS}

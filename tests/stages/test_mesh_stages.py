@@ -132,7 +132,7 @@ def test_an_empty_field_stops_at_extract(run: Run, monkeypatch: pytest.MonkeyPat
 
 def test_texture_sizes_are_powers_of_two(run: Run) -> None:
     params = import_module("refdgs_pipe.stages.bake").BakeParams
-    with pytest.raises(ValueError, match="1000 is not a power of two"):
+    with pytest.raises(ValueError, match="a power of two, such as 512 or 1024"):
         params(size=1000)
 
 

@@ -11,6 +11,7 @@ from refdgs_pipe.training import budget
 from refdgs_pipe.training.settings import TrainParams
 
 PARAMS = TrainParams()
+LOAD = budget.Load(PARAMS)
 
 
 def model_of(width: int, height: int, count: int = 100) -> SparseModel:
@@ -21,63 +22,71 @@ def model_of(width: int, height: int, count: int = 100) -> SparseModel:
     return SparseModel(cameras, {}, none, none.astype(np.uint8), {}, ball, up, np.eye(4), None, ())
 
 
+def load_of(**changes: int) -> budget.Load:
+    return budget.Load(PARAMS.model_copy(update=changes))
+
+
 def test_more_pixels_and_surfels_need_more() -> None:
     small, large = model_of(400, 300), model_of(800, 600)
-    assert budget.need_of(PARAMS, small).pixels < budget.need_of(PARAMS, large).pixels
-    more = PARAMS.model_copy(update={"max_surfels": 2 * PARAMS.max_surfels})
-    assert budget.need_of(PARAMS, small).surfels < budget.need_of(more, small).surfels
+    assert budget.need_of(LOAD, small).pixels < budget.need_of(LOAD, large).pixels
+    more = load_of(max_surfels=2 * PARAMS.max_surfels)
+    assert budget.need_of(LOAD, small).surfels < budget.need_of(more, small).surfels
 
 
 def test_settings_that_fit_stay_as_they_are() -> None:
-    assert budget.fitted(PARAMS, model_of(800, 800), 8 * 10**9) == PARAMS
+    assert budget.fitted(LOAD, model_of(800, 800), 8 * 10**9) == LOAD
 
 
 def test_steps_are_recorded_only_where_that_costs_nothing_else() -> None:
     model = model_of(800, 800)
-    alone = budget.need_of(PARAMS.model_copy(update={"cuda_graph": "off"}), model).total
-    fitting = budget.fitted(PARAMS, model, alone)
-    assert fitting == PARAMS.model_copy(update={"cuda_graph": "off"})
-    assert budget.changes(PARAMS, fitting) == "steps are not recorded"
-    insists = PARAMS.model_copy(update={"cuda_graph": "on"})
-    assert budget.fitted(insists, model, alone).cuda_graph == "on"
+    without = budget.Load(PARAMS, cuda_graph=False)
+    alone = budget.need_of(without, model).total
+    fitting = budget.fitted(LOAD, model, alone)
+    assert fitting == without
+    assert budget.changes(LOAD, fitting) == "steps are not recorded"
+    insists = budget.Load(PARAMS, cuda_graph=True)
+    assert budget.fitted(insists, model, alone).cuda_graph is True
 
 
 def test_what_takes_more_is_lowered_first() -> None:
     model = model_of(800, 800)
-    many = PARAMS.model_copy(update={"max_surfels": 2_000_000})
+    many = load_of(max_surfels=2_000_000)
     fitting = budget.fitted(many, model, 3 * 10**9)
-    assert fitting.max_side == many.max_side and fitting.max_surfels < 10**6
+    assert fitting.params.max_side == many.params.max_side
+    assert fitting.params.max_surfels < 10**6
     assert budget.need_of(fitting, model).total <= 3 * 10**9
     wide = model_of(8000, 6000, 400)
-    sharp = PARAMS.model_copy(update={"max_side": 8000})
+    sharp = load_of(max_side=8000)
     fitting = budget.fitted(sharp, wide, 8 * 10**9)
-    assert fitting.max_side < 8000 and fitting.max_surfels == sharp.max_surfels
+    assert fitting.params.max_side < 8000
+    assert fitting.params.max_surfels == sharp.params.max_surfels
 
 
 def test_a_budget_below_the_least_is_an_error_that_says_what_to_do() -> None:
     with pytest.raises(DeviceError, match=r"may use 0\.5 GB: give more by --vram"):
-        budget.fitted(PARAMS, model_of(800, 800), 500_000_000)
+        budget.fitted(LOAD, model_of(800, 800), 500_000_000)
 
 
 def test_the_limit_and_the_free_memory_both_hold(monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[str] = []
     free = 100 * 10**9
     monkeypatch.setattr(torch.cuda, "mem_get_info", lambda: (free, free))
-    many = PARAMS.model_copy(update={"max_surfels": 2_000_000})
+    many = load_of(max_surfels=2_000_000)
     model = model_of(800, 800)
     assert budget.planned(many, model, vram=0, warn=said.append) == many and not said
     limited = budget.planned(many, model, vram=2 * 10**9, warn=said.append)
     assert budget.need_of(limited, model).total <= 2 * 10**9
     assert said[0].startswith("2.0 GB of GPU memory: ")
     free = 2 * 10**9
-    assert budget.planned(many, model, vram=50 * 10**9, warn=said.append).max_surfels < 10**6
+    planned = budget.planned(many, model, vram=50 * 10**9, warn=said.append)
+    assert planned.params.max_surfels < 10**6
 
 
 class Hungry:
     """Runs out of memory until an image is small enough."""
 
-    def __init__(self, params: TrainParams) -> None:
-        self.params = params
+    def __init__(self, load: budget.Load) -> None:
+        self.load, self.params = load, load.params
 
     def run(self, progress: object) -> str:
         if self.params.max_side > 600 or self.params.max_surfels > 50_000:
@@ -87,10 +96,10 @@ class Hungry:
 
 def test_running_out_of_memory_lowers_settings_and_says_so() -> None:
     said: list[str] = []
-    trainer, field = budget.train_within(Hungry, PARAMS, print, said.append)  # type: ignore
+    trainer, field = budget.train_within(Hungry, LOAD, print, said.append)  # type: ignore
     assert field == "field" and trainer.params.max_side <= 600
     assert said[0].startswith("the GPU's memory ran out: training at 578 instead of 800 pixels, ")
-    assert trainer.params.cuda_graph == "off"
+    assert trainer.load.cuda_graph is False
     assert "instead of 60000 surfels" in said[1]
 
 
@@ -100,4 +109,4 @@ def test_running_out_for_good_is_an_error() -> None:
             raise torch.cuda.OutOfMemoryError("no more")
 
     with pytest.raises(DeviceError, match="runs out even at"):
-        budget.train_within(Starving, PARAMS, print, lambda text: None)  # type: ignore
+        budget.train_within(Starving, LOAD, print, lambda text: None)  # type: ignore

@@ -59,7 +59,7 @@ def test_factors_survive_an_interruption(tmp_path: Path) -> None:
     for name in "ab":
         (tmp_path / name).mkdir()
 
-    def stop(done: int, total: int, note: str, work: float) -> None:
+    def stop(done: int, total: int, now: object, work: float) -> None:
         if done == 10:
             raise Cancelled("enough")
 

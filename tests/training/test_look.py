@@ -115,7 +115,7 @@ def test_a_run_without_masks_ends_alike_wherever_it_was_stopped(tmp_path: Path) 
         if done == 10:
             raise Cancelled("enough")
 
-    def stop_training(done: int, total: int, note: str, work: float) -> None:
+    def stop_training(done: int, total: int, now: object, work: float) -> None:
         if done == 10:
             raise Cancelled("enough")
 

@@ -85,7 +85,7 @@ def test_a_run_that_gains_nothing_goes_on_at_its_annealing(tmp_path: Path) -> No
     views, model = capture(tmp_path / "views")
     told: list[tuple[int, int, float]] = []
     trainer = Trainer(views, model, HOPELESS, tmp_path)
-    trainer.run(lambda done, total, note, work: told.append((done, total, work)))
+    trainer.run(lambda done, total, now, work: told.append((done, total, work)))
     assert 0 < trainer.skipped < 0.5 * HOPELESS.iterations
     assert trainer.iteration == HOPELESS.iterations - trainer.skipped
     assert told[-1] == (trainer.iteration, trainer.iteration, pytest.approx(1))
@@ -117,7 +117,7 @@ def test_an_interruption_before_or_after_the_jump_changes_nothing(
     whole = Trainer(views, model, HOPELESS, tmp_path / "a")
     expected = whole.run(quiet)
 
-    def interrupt(done: int, total: int, note: str, work: float) -> None:
+    def interrupt(done: int, total: int, now: object, work: float) -> None:
         if done == stop:
             raise Cancelled("enough")
 

@@ -121,7 +121,7 @@ def test_refined_poses_survive_an_interruption(tmp_path: Path) -> None:
     for name in "ab":
         (tmp_path / name).mkdir()
 
-    def stop(done: int, total: int, note: str, work: float) -> None:
+    def stop(done: int, total: int, now: object, work: float) -> None:
         if done == 20:
             raise Cancelled("enough")
 
@@ -153,9 +153,8 @@ def test_known_poses_are_not_refined_and_recorded_steps_not_asked_for(tmp_path: 
     views, model = capture(tmp_path / "known", size=32)
     assert Trainer(views, model, REFINED, tmp_path).field.poses is None
     views, model = found(tmp_path / "found", size=32)
-    insists = REFINED.model_copy(update={"cuda_graph": "on"})
     with pytest.raises(TrainingError, match="cannot be recorded"):
-        Trainer(views, model, insists, tmp_path)
+        Trainer(views, model, REFINED, tmp_path, cuda_graph=True)
 
 
 def test_a_field_keeps_its_poses_and_a_model_takes_them(tmp_path: Path) -> None:

@@ -179,7 +179,7 @@ def test_what_does_not_prove_good_is_left_alone(
 
 
 def test_who_insists_gets_an_error(tmp_path: Path) -> None:
-    with pytest.raises(TrainingError, match=r"an illegal thing.*cuda_graph to auto"):
+    with pytest.raises(TrainingError, match=r"an illegal thing.*without --cuda-graph"):
         trained(tmp_path, tape=lambda t: Tape(t, _raise), insists=True, **BRIEF)
 
 

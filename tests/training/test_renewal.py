@@ -126,7 +126,7 @@ def test_an_interrupted_run_ends_as_one_that_was_not(tmp_path: Path, stop: int) 
         (tmp_path / name).mkdir()
         for number, fail in enumerate((*fails, None)):
 
-            def watch(done: int, total: int, note: str, work: float, last: int = number) -> None:
+            def watch(done: int, total: int, now: object, work: float, last: int = number) -> None:
                 if last < len(fails) and done >= stop:
                     raise Cancelled("stopped")
 

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,8 @@ from refdgs_pipe.errors import Cancelled, CorruptError, TrainingError
 from refdgs_pipe.metrics import normal_error_deg, psnr
 from refdgs_pipe.ops import Pinhole, clip
 from refdgs_pipe.ops.reference_shade import depth_normals, srgb_of
+from refdgs_pipe.pipeline.events import Event, Progress, Sampled
+from refdgs_pipe.pipeline.stage import Job
 from refdgs_pipe.training import initial
 from refdgs_pipe.training.checkpoint import NAME, read_checkpoint, write_checkpoint
 from refdgs_pipe.training.losses import mirrored
@@ -94,7 +97,7 @@ def thinned(field: SurfelField, every: int) -> SurfelField:
     return replace(field, geometry=kept)
 
 
-def quiet(done: int, total: int, note: str, work: float) -> None:
+def quiet(done: int, total: int, now: object, work: float) -> None:
     """A run that nobody watches."""
 
 
@@ -158,7 +161,7 @@ def test_an_interrupted_run_ends_bit_for_bit_like_an_undisturbed_one(tmp_path: P
     (tmp_path / "b").mkdir()
     whole = Trainer(views, model, SMALL, tmp_path / "a").run(quiet)
 
-    def stop_at_thirty(done: int, total: int, note: str, work: float) -> None:
+    def stop_at_thirty(done: int, total: int, now: object, work: float) -> None:
         if done == 30:
             raise Cancelled("enough")
 
@@ -166,7 +169,7 @@ def test_an_interrupted_run_ends_bit_for_bit_like_an_undisturbed_one(tmp_path: P
         Trainer(views, model, SMALL, tmp_path / "b").run(stop_at_thirty)
     resumed_from = []
     trainer = Trainer(views, model, SMALL, tmp_path / "b")
-    resumed = trainer.run(lambda done, total, note, work: resumed_from.append(done))
+    resumed = trainer.run(lambda done, total, now, work: resumed_from.append(done))
     assert resumed_from[0] == 40
     for name in ("means", "quats", "scales", "opacities"):
         np.testing.assert_array_equal(
@@ -295,7 +298,7 @@ def test_the_hull_of_a_ball_seen_from_all_sides_is_the_ball() -> None:
 def test_the_work_behind_grows_to_one_and_late_steps_weigh_more(tmp_path: Path) -> None:
     views, model = capture(tmp_path / "views")
     shares: list[float] = []
-    Trainer(views, model, SMALL, tmp_path).run(lambda done, total, note, work: shares.append(work))
+    Trainer(views, model, SMALL, tmp_path).run(lambda done, total, now, work: shares.append(work))
     assert shares == sorted(shares)
     assert shares[-1] == pytest.approx(1)
     assert shares[1] - shares[0] < 0.6 * (shares[-1] - shares[-2])
@@ -333,3 +336,18 @@ def test_how_much_reflections_turn_normals_is_a_setting(tmp_path: Path) -> None:
         moments = trainer.field.geometry.optimizer.state[trainer.field.geometry.raw["quats"]]
         turned.append(float(moments["exp_avg"].norm()))
     assert 0 < turned[1] != turned[0]
+
+
+def test_the_stage_tells_figures_as_data_and_in_words(tmp_path: Path) -> None:
+    views, model = capture(tmp_path / "views", size=32)
+    stage, told = import_module("refdgs_pipe.stages.train").train, list[Event]()
+    (tmp_path / "scratch").mkdir()
+    job = Job("train", tmp_path, tmp_path / "scratch", "cpu", 1, told.append)
+    few = {"iterations": 20, "surfels": 200, "local_surfels": 100, "renew_at": 1.0}
+    stage.run(views, model, SMALL.model_copy(update=few), job)
+    samples = [event for event in told if isinstance(event, Sampled)]
+    assert [(event.step, event.steps) for event in samples] == [(10, 20), (20, 20)]
+    last = samples[-1].figures
+    assert last.keys() == {"loss", "psnr", "surfels"} and last["psnr"] > 0
+    (spoken,) = [e for e in told if isinstance(e, Progress) and e.done == 20 and e.note]
+    assert spoken.note.startswith(f"loss {last['loss']:.4f}  PSNR {last['psnr']:.2f} dB  ")
