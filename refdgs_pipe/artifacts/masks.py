@@ -92,7 +92,7 @@ class Masks:
             InputError: not a folder, or it holds no PNG files.
         """
         if not path.is_dir():
-            raise InputError(f"{path.name}: give a folder with one PNG for each photo")
+            raise InputError(f"{path.name} is no folder. Give one with a PNG for each photo")
         files = sorted(p for p in path.glob("*.png") if sniff(p) == "png")
         if not files:
             raise InputError(f"{path.name} holds no PNG files. One for each photo is expected")

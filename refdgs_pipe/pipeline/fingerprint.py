@@ -29,6 +29,13 @@ def hash_file(path: Path) -> str:
         return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
 
 
+def hash_path(path: Path) -> str:
+    """Hash a file's bytes, or the names and bytes of all files right in a folder."""
+    if not path.is_dir():
+        return hash_file(path)
+    return combine({file.name: hash_file(file) for file in path.iterdir() if file.is_file()})
+
+
 def combine(files: Mapping[str, str]) -> str:
     """One hash of names and their contents' hashes, whatever their order."""
     text = "".join(f"{name} {content}\n" for name, content in sorted(files.items()))

@@ -9,7 +9,7 @@ from typing import Literal, TypeAlias
 from refdgs_pipe.errors import CorruptError, InputError
 from refdgs_pipe.params import Params
 from refdgs_pipe.pipeline.atomic import disk_errors, remove
-from refdgs_pipe.pipeline.fingerprint import Fingerprint, fingerprint, hash_file
+from refdgs_pipe.pipeline.fingerprint import Fingerprint, fingerprint, hash_path
 from refdgs_pipe.pipeline.reasons import why
 from refdgs_pipe.pipeline.stage import Source, Stage
 from refdgs_pipe.pipeline.store import Manifest, Origin, Record, Store
@@ -145,13 +145,13 @@ class Pipeline:
         if read is None:
             able = [s.name for s in self.stages if hasattr(s.output, "adopt")]
             raise InputError(f"{name} cannot adopt a file. These can: {' '.join(able) or 'none'}")
-        if not file.is_file():
+        if not file.exists():
             raise InputError(f"{file}: no such file")
         with self.store.lock():
             step = next(s for s in self.status(source, settings) if s.stage is stage)
             if step.origin is None:
                 raise InputError(f"{name} {step.reason}. Make that first, with `run`")
-            origin = replace(step.origin, adopted=hash_file(file))
+            origin = replace(step.origin, adopted=hash_path(file))
             artifact = read(file)
             with disk_errors(self.store.root):
                 folder = self.store.partial(origin)

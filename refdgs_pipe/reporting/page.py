@@ -9,6 +9,7 @@ from pathlib import Path
 
 from refdgs_pipe import __version__
 from refdgs_pipe.artifacts.asset import Asset
+from refdgs_pipe.artifacts.masks import Masks
 from refdgs_pipe.artifacts.placement import Placement
 from refdgs_pipe.artifacts.scores import Scores
 from refdgs_pipe.artifacts.sparse_model import SparseModel
@@ -55,6 +56,7 @@ SECTIONS = (
     Section("model", "The asset", ("asset", "viewer"), (Asset,)),
     Section("photos", "Photos", ("photos", "contact_sheet"), (Views,)),
     Section("placement", "Placement", ("placement", "placement"), (Views, Placement)),
+    Section("masks", "Masks", ("masks", "masks"), (Masks, Views, SparseModel)),
     Section("cameras", "Cameras", ("photos", "cameras"), (SparseModel,)),
     Section("training", "Training", ("views", "training"), (SurfelField,)),
     Section(

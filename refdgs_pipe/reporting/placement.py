@@ -104,7 +104,7 @@ def overlay(views: Views, model: SparseModel | None) -> Html:
         return tag("p", "Too few photos have a place to draw a picture of them.", class_="hint")
     said = {view.name: view.source or view.name for view in views.items}
     figures = []
-    for camera in _spread(model):
+    for camera in spread(model):
         try:
             pixels = draw_overlay(views, model, camera)
         except (RefdgsError, OSError, cv2.error):
@@ -120,7 +120,7 @@ def overlay(views: Views, model: SparseModel | None) -> Html:
     return joined(tag("p", words, class_="hint"), tag("div", *figures, class_="tripled overlay"))
 
 
-def _spread(model: SparseModel) -> list[Camera]:
+def spread(model: SparseModel) -> list[Camera]:
     """Some cameras, each as far as possible from those chosen before."""
     centers = np.stack([camera.center - model.ball.center for camera in model.cameras])
     chosen = [0]

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from refdgs_pipe.artifacts.appearance import Appearance
 from refdgs_pipe.artifacts.asset import Asset
+from refdgs_pipe.artifacts.masks import Masks
 from refdgs_pipe.artifacts.photos import Photo, load_photo
 from refdgs_pipe.artifacts.scores import Scores
 from refdgs_pipe.artifacts.sparse_model import SparseModel
@@ -51,9 +52,11 @@ def comparisons(facts: Facts, drawing: Drawing) -> Html:
     from refdgs_pipe.training.render import render_image
 
     relit = _relit(facts)
-    views = facts.load(Views)
     field = facts.load(SurfelField)
     model = facts.load(SparseModel).placed(field.poses)
+    views = facts.load(Views)
+    if facts.result(Masks) is not None:
+        views = facts.load(Masks).applied(views, model.names)
     cameras = chosen_cameras(facts, model, _COMPARED)
     held = any(camera.split == "test" for camera in cameras)
     rows = []
