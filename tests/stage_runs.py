@@ -8,12 +8,14 @@ import finished
 import numpy as np
 import pytest
 
+from refdgs_pipe.artifacts.masks import Masks
 from refdgs_pipe.artifacts.sparse_model import Ball, SparseModel
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.pipeline.events import Event, Measured, Warned
 from refdgs_pipe.pipeline.stage import Job
 
 FIELD = finished.field()
+NO_MASKS = Masks(Path(), (), "given")
 
 
 class Run:

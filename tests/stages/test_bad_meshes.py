@@ -19,7 +19,7 @@ from solids import (
     with_flat_face,
     with_nan,
 )
-from stage_runs import FIELD, Run, model_of, show
+from stage_runs import FIELD, NO_MASKS, Run, model_of, show
 
 from refdgs_pipe.artifacts.mesh import Mesh, RawMesh, TriangleMesh, UvMesh
 from refdgs_pipe.artifacts.sparse_model import Ball
@@ -66,7 +66,9 @@ def test_a_bad_adopted_mesh_becomes_an_asset(
     assert len(atlas.faces) == len(bad.faces)
     looks = finished.appearance(mesh.vertices)
     photos = finished.views(tmp_path / "photos")
-    textured: TexturedMesh = run("bake", atlas, looks, FIELD, MODEL, photos, size=128, refine=False)
+    textured: TexturedMesh = run(
+        "bake", atlas, looks, FIELD, MODEL, photos, NO_MASKS, size=128, refine=False
+    )
     assert np.isfinite(textured.tangents).all()
     run("export", textured, looks, FIELD, MODEL, photos, preview=64)
     assert glb_faults(tmp_path / "export" / "asset.glb") == []
@@ -88,7 +90,16 @@ def test_an_adopted_mesh_from_elsewhere_is_told_at_the_bake(run: Run) -> None:
     mesh = seam_split(solid, one_by_one_corners(len(solid.faces)))
     looks = finished.appearance(mesh.vertices)
     with pytest.raises(MeshError, match="drop the adopted mesh"):
-        run("bake", mesh, looks, FIELD, MODEL, finished.views(run.folder / "photos"), size=64)
+        run(
+            "bake",
+            mesh,
+            looks,
+            FIELD,
+            MODEL,
+            finished.views(run.folder / "photos"),
+            NO_MASKS,
+            size=64,
+        )
 
 
 def test_an_empty_fused_mesh_is_told_at_the_cleaning(run: Run) -> None:

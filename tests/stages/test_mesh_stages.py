@@ -10,7 +10,7 @@ import pytest
 import truth
 from scenes import Box, glossy_pair, gradient_sky, orbit, waves
 from scenes import Scene as Procedural
-from stage_runs import FIELD, Run, model_of, show
+from stage_runs import FIELD, NO_MASKS, Run, model_of, show
 
 from refdgs_pipe.artifacts.asset import Asset
 from refdgs_pipe.artifacts.mesh import Mesh, RawMesh, UvMesh
@@ -41,7 +41,7 @@ def test_a_procedural_scene_becomes_files(run: Run, monkeypatch: pytest.MonkeyPa
     atlas: UvMesh = run("unwrap", mesh)
     looks = finished.appearance(mesh.vertices)
     textured: TexturedMesh = run(
-        "bake", atlas, looks, FIELD, model, photos(run), size=512, refine=False
+        "bake", atlas, looks, FIELD, model, photos(run), NO_MASKS, size=512, refine=False
     )
     asset: Asset = run(
         "export",
@@ -83,7 +83,15 @@ def test_what_the_user_should_know_is_said(run: Run, monkeypatch: pytest.MonkeyP
     mesh = run("clean", raw, FIELD, whole, faces=2000)
     looks = finished.appearance(mesh.vertices)
     textured = run(
-        "bake", run("unwrap", mesh), looks, FIELD, model, photos(run), size=128, refine=False
+        "bake",
+        run("unwrap", mesh),
+        looks,
+        FIELD,
+        model,
+        photos(run),
+        NO_MASKS,
+        size=128,
+        refine=False,
     )
     run("export", textured, looks, FIELD, model, photos(run), preview=64)
     (seen,) = run.warnings()
@@ -150,7 +158,15 @@ def test_true_maps_give_the_true_asset(
     mesh = run("clean", raw, FIELD, model)
     looks = finished.appearance(mesh.vertices)
     textured = run(
-        "bake", run("unwrap", mesh), looks, FIELD, model, photos(run), size=1024, refine=False
+        "bake",
+        run("unwrap", mesh),
+        looks,
+        FIELD,
+        model,
+        photos(run),
+        NO_MASKS,
+        size=1024,
+        refine=False,
     )
     photos_of = finished.views(run.folder / "photos")
     asset = run("export", textured, looks, FIELD, model, photos_of, preview=240)
