@@ -10,6 +10,7 @@ import pytest
 import torch
 from PIL import Image
 from scenes import glossy_pair, orbit
+from stage_runs import NO_MASKS
 
 from refdgs_pipe.artifacts.sparse_model import Ball, SparseModel
 from refdgs_pipe.artifacts.surfel_field import SurfelField, SurfelSet
@@ -344,7 +345,7 @@ def test_the_stage_tells_figures_as_data_and_in_words(tmp_path: Path) -> None:
     (tmp_path / "scratch").mkdir()
     job = Job("train", tmp_path, tmp_path / "scratch", "cpu", 1, told.append)
     few = {"iterations": 20, "surfels": 200, "local_surfels": 100, "renew_at": 1.0}
-    stage.run(views, model, SMALL.model_copy(update=few), job)
+    stage.run(views, NO_MASKS, model, SMALL.model_copy(update=few), job)
     samples = [event for event in told if isinstance(event, Sampled)]
     assert [(event.step, event.steps) for event in samples] == [(10, 20), (20, 20)]
     last = samples[-1].figures
