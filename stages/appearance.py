@@ -1,9 +1,6 @@
 """Tell the surface's material from the light that falls on it."""
 
 from functools import partial
-from typing import Literal
-
-from pydantic import Field
 
 from refdgs_pipe.artifacts.appearance import Appearance
 from refdgs_pipe.artifacts.masks import Masks
@@ -11,17 +8,8 @@ from refdgs_pipe.artifacts.mesh import Mesh
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.surfel_field import SurfelField
 from refdgs_pipe.artifacts.views import Views
-from refdgs_pipe.params import Params
 from refdgs_pipe.pipeline.stage import Job, stage
-
-
-class AppearanceParams(Params):
-    """The fit of materials and light to what the field shows."""
-
-    metal: Literal["tell", "none"] = Field("tell", description="tell it by swinging light, or none")
-    samples: int = Field(300_000, ge=1000, le=20_000_000, description="places compared, a count")
-    light: int = Field(64, ge=16, le=256, multiple_of=8, description="rows of the light, in texels")
-    tolerance: float = Field(0.01, gt=0, le=0.2, description="mesh to field, in ball diameters")
+from refdgs_pipe.texture.settings import AppearanceParams
 
 
 @stage(version=7, programs=("open3d-cpu", "scipy"))

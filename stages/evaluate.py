@@ -3,8 +3,6 @@
 from dataclasses import replace
 from functools import partial
 
-from pydantic import Field
-
 from refdgs_pipe.artifacts.appearance import Appearance
 from refdgs_pipe.artifacts.capture import Capture
 from refdgs_pipe.artifacts.masks import Masks
@@ -14,18 +12,8 @@ from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.surfel_field import SurfelField
 from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
 from refdgs_pipe.artifacts.views import Views
-from refdgs_pipe.params import Params
+from refdgs_pipe.evaluation.settings import EvaluateParams
 from refdgs_pipe.pipeline.stage import Job, stage
-
-
-class EvaluateParams(Params):
-    """How the result is scored."""
-
-    max_side: int = Field(800, ge=32, le=8192, description="longest side compared, in pixels")
-    lpips_weights: str = Field(
-        "", max_length=4096, description="LPIPS's network in safetensors, a path; empty: none"
-    )
-    lpips_digest: str = Field("", max_length=64, description="hash of that file, as eval finds it")
 
 
 @stage(version=6, programs=("open3d-cpu", "scipy"))

@@ -10,9 +10,6 @@ from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.pipeline.stage import Job, stage
 from refdgs_pipe.training.settings import TrainParams
 
-LEAST_OVERLAP = 0.6  # of masks and field
-LEAST_FILL = 0.02  # of the object ball's disc, where there are no masks
-
 
 @stage(version=8, programs=("pymeshlab", "open3d-cpu"))
 def train(
@@ -23,6 +20,7 @@ def train(
 
     from refdgs_pipe.surface.own import own_surface
     from refdgs_pipe.training.budget import Load, planned, train_within
+    from refdgs_pipe.training.coverage import doubt
     from refdgs_pipe.training.render import render_surface_map
     from refdgs_pipe.training.trainer import Figures, Trainer
 
@@ -49,13 +47,8 @@ def train(
         job.warn,
     )
     shown = trainer.coverage(field)
-    if shown < (LEAST_OVERLAP if trainer.masked else LEAST_FILL):
-        job.warn(
-            f"the field shows only {shown:.0%} of "
-            + ("what the masks cover" if trainer.masked else "the object's surroundings")
-            + ": the object may be lost. Look at `refdgs-pipe render WORKSPACE`, give masks, more "
-            "photos or more train.iterations"
-        )
+    if warning := doubt(shown, masked=trainer.masked):
+        job.warn(warning)
     job.measure("object shown", round(100 * shown, 1), "%")
     for name, value, unit in trainer.figures(field):
         job.measure(name, value, unit)

@@ -5,6 +5,8 @@ object there is one at which other photos show the same, if the pixel is backgro
 Collins 1996); where they show nothing like it at any, the pixel is something else.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from refdgs_pipe.artifacts.sparse_model import Ball
@@ -21,6 +23,15 @@ STRANGE, MOST_STRANGE = 0.5, 0.4  # evidence, and the share of the surroundings
 EVEN = 0.6  # likeness that speaks for neither
 
 
+@dataclass(frozen=True)
+class _Neighbour:
+    """What a photo is compared with: colours in logarithms, and where no object can hide them."""
+
+    shot: Shot
+    logs: F32
+    free: F32
+
+
 def shown_room(
     shots: list[Shot], ball: Ball, cover: list[Bools], threads: int = 1
 ) -> list[Evidence]:
@@ -32,6 +43,10 @@ def shown_room(
     centers = np.stack([shot.camera.center for shot in shots]) - ball.center
     units = centers / np.linalg.norm(centers, axis=1, keepdims=True)
     angles = np.degrees(np.arccos(np.clip(units @ units.T, -1, 1)))
+    all_photos = [
+        _Neighbour(shot, shot.logs, (shot.valid & ~hidden).astype(np.float32))
+        for shot, hidden in zip(shots, cover, strict=True)
+    ]
 
     def judge(i: int) -> Evidence:
         shot = shots[i]
@@ -39,12 +54,12 @@ def shown_room(
         known = np.zeros(shot.valid.shape, bool)
         box = box_around(cover[i], MARGIN)
         order = np.argsort(np.where(angles[i] > LEAST_DEG, angles[i], 999))[:NEIGHBOURS]
-        near = [int(j) for j in order if LEAST_DEG < angles[i, j] < MOST_DEG]
+        near = [all_photos[j] for j in order if LEAST_DEG < angles[i, j] < MOST_DEG]
         if box is not None and len(near) >= 2:
             first = float(np.linalg.norm(centers[i])) + BEHIND * ball.radius
             left, right, top, bottom = box
             part = (slice(top, bottom), slice(left, right))
-            value[part], known[part] = _judged(shots, i, near, cover, box, 1 / first)
+            value[part], known[part] = _judged(all_photos[i], near, box, 1 / first)
         return Evidence(value, known)
 
     out = mapped(judge, range(len(shots)), threads)
@@ -61,26 +76,20 @@ def _moves(evidence: list[Evidence], cover: list[Bools]) -> bool:
 
 
 def _judged(
-    shots: list[Shot],
-    i: int,
-    near: list[int],
-    cover: list[Bools],
-    box: tuple[int, ...],
-    most: float,
+    photo: _Neighbour, near: list[_Neighbour], box: tuple[int, ...], most: float
 ) -> tuple[F32, Bools]:
-    """Evidence and whether it is known (h, w), for a box of photo i."""
+    """Evidence and whether it is known (h, w), for a box of a photo."""
     left, right, top, bottom = box
     width, height = right - left, bottom - top
-    logs = np.ascontiguousarray(shots[i].logs[top:bottom, left:right])
+    logs = np.ascontiguousarray(photo.logs[top:bottom, left:right])
     best = np.full((height, width), -1.0, np.float32)
     told = np.zeros((height, width), np.float32)
     for inverse in np.linspace(0, most, DEPTHS):
         likes = []
-        for j in near:
-            H = _through_plane(shots[i], shots[j], float(inverse)) @ _shift(left, top)
-            other = homography_warp(shots[j].logs, H, width, height, 9.0)
-            free = (shots[j].valid & ~cover[j]).astype(np.float32)
-            clear = homography_warp(free, H, width, height, 0.0)
+        for one in near:
+            H = _through_plane(photo.shot, one.shot, float(inverse)) @ _shift(left, top)
+            other = homography_warp(one.logs, H, width, height, 9.0)
+            clear = homography_warp(one.free, H, width, height, 0.0)
             seen = ((clear > 0.99) & (other[..., 0] < 8)).astype(np.float32)
             like = smooth(alike(logs, other) * seen, 1.3) / (smooth(seen, 1.3) + 1e-3)
             likes.append(np.where(seen > 0, like, -1))

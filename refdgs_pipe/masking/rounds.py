@@ -148,13 +148,14 @@ class _Worker:
         self.normal, offset = plane
         self.level, self.ball, self.threads = level, model.ball, threads
         self.inner = INNER if level is LAST else 1.0
-        self.shots = whole_shots(views, model, level.side)
+        whole = whole_shots(views, model, level.side)
+        if found is None:
+            self.shots = list(whole)
+        else:
+            pairs = zip(whole, found.outlines, strict=True)
+            self.shots = [_cut(*pair, level.margin) for pair in pairs]
         self.weight = WEIGHT * min(1.0, 400 / max(self.shots[0].whole))
         self.band = [max(2, round(BAND * max(shot.whole))) for shot in self.shots]
-        if found is not None:
-            self.shots = [
-                _cut(*pair, level.margin) for pair in zip(self.shots, found.outlines, strict=True)
-            ]
         reach = WIDE * model.ball.radius if found is None else NARROW * found.reach
         ground = Ground.under(self.ball, self.normal, offset, reach)
         self.table = Table(ground, level.cells, len(self.shots), threads)
@@ -195,7 +196,7 @@ class _Worker:
         evidence = self._evidence(found)
         values, known = self._with_colours(evidence, found), [e.known for e in evidence]
         outlines = self._parts_of(found.outlines)
-        masks, solid = [], self.cells.inside
+        solid = self.cells.inside
         for deny in self.level.denials:
             masks = self._near_outlines(values, outlines)
             free = self._free(masks)

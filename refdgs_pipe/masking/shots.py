@@ -1,6 +1,6 @@
 """Photos at a working size, cut to where the object can be."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TypeVar
@@ -17,7 +17,7 @@ from refdgs_pipe.camera import F64, Camera
 F32 = NDArray[np.float32]
 Bools = NDArray[np.bool_]
 Box = tuple[int, int, int, int]
-"""First and last-but-one column, first and last-but-one row: left, right, top, bottom."""
+"""First column, column after the last, first row, row after the last: left, right, top, bottom."""
 
 T = TypeVar("T")
 S = TypeVar("S")
@@ -56,26 +56,24 @@ class Shot:
         return out
 
 
-def whole_shots(views: Views, model: SparseModel, side: int) -> list[Shot]:
-    """All photos, at most `side` pixels long."""
-    shots = []
+def whole_shots(views: Views, model: SparseModel, side: int) -> Iterator[Shot]:
+    """All photos, at most `side` pixels long; one after the other, as memory is dear."""
     for camera in model.cameras:
         scale = min(1.0, side / max(camera.width, camera.height))
         photo = load_photo(views, model, camera, scale=scale)
         height, width = photo.rgb.shape[:2]
         box = (0, width, 0, height)
-        shots.append(Shot(photo.camera, photo.rgb, photo.valid, box, (width, height)))
-    return shots
+        yield Shot(photo.camera, photo.rgb, photo.valid, box, (width, height))
 
 
 def cut_to(shot: Shot, box: Box) -> Shot:
-    """A part of a whole shot."""
+    """A part of a whole shot, as a copy: the whole can be freed."""
     left, right, top, bottom = box
     K = shot.camera.K.copy()
     K[:2, 2] -= (left, top)
     camera = replace(shot.camera, width=right - left, height=bottom - top, K=K)
     part = (slice(top, bottom), slice(left, right))
-    return Shot(camera, shot.rgb[part], shot.valid[part], box, shot.whole)
+    return Shot(camera, shot.rgb[part].copy(), shot.valid[part].copy(), box, shot.whole)
 
 
 def box_around(mask: Bools, margin: float) -> Box | None:

@@ -10,6 +10,9 @@ from refdgs_pipe.training.render import render_surface_map
 
 F32 = NDArray[np.float32]
 
+LEAST_OVERLAP = 0.6  # of masks and field
+LEAST_FILL = 0.02  # of the object ball's disc, where there are no masks
+
 
 def coverage(
     field: SurfelField,
@@ -38,3 +41,20 @@ def coverage(
         disc = (xs - uv[0, 0]) ** 2 + (ys - uv[0, 1]) ** 2 < radius**2
         shares.append(float((alpha * disc).sum() / max(int(disc.sum()), 1)))
     return float(np.mean(shares))
+
+
+def doubt(shown: float, *, masked: bool) -> str:
+    """What to warn of, if a field shows too little of the object; "" if it shows enough.
+
+    Args:
+        shown: what `coverage` returned.
+        masked: whether it compared with masks.
+    """
+    if shown >= (LEAST_OVERLAP if masked else LEAST_FILL):
+        return ""
+    return (
+        f"the field shows only {shown:.0%} of "
+        + ("what the masks cover" if masked else "the object's surroundings")
+        + ": the object may be lost. Look at `refdgs-pipe render WORKSPACE`, give masks, more "
+        "photos or more train.iterations"
+    )
