@@ -7,8 +7,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, Self
 
+import numpy as np
+
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.errors import CorruptError, InputError
+from refdgs_pipe.files.images import read_png
 from refdgs_pipe.files.kinds import sniff
 
 Kind = Literal["given", "found", "adopted", "none"]
@@ -89,11 +92,29 @@ class Masks:
         """A folder of masks that the user made or edited: NAME.png for each view.
 
         Raises:
-            InputError: not a folder, or it holds no PNG files.
+            InputError: not a folder, it holds no PNG files, or one is damaged or shows no object.
         """
         if not path.is_dir():
             raise InputError(f"{path.name} is no folder. Give one with a PNG for each photo")
         files = sorted(p for p in path.glob("*.png") if sniff(p) == "png")
         if not files:
             raise InputError(f"{path.name} holds no PNG files. One for each photo is expected")
+        for file in files:
+            _check(file)
         return cls(path, tuple(file.stem for file in files), "adopted")
+
+
+def _check(file: Path) -> None:
+    """Refuse a mask that cannot be read or shows no object."""
+    try:
+        mask = read_png(file)
+    except CorruptError as error:
+        raise InputError(
+            f"{error}. Each mask has to be a PNG that is white where the object is"
+        ) from error
+    plain = mask if mask.ndim == 2 else mask[..., :3]
+    if plain.max() <= np.iinfo(plain.dtype).max // 2:
+        raise InputError(
+            f"{file.name} shows no object: nothing in it is white. Draw the object white. Where a "
+            "photo does not show it, leave the photo out of the capture"
+        )

@@ -117,6 +117,10 @@ def test_a_mirror_ball_on_a_printed_table_is_found(
     assert np.mean(shares) > 0.93
     assert min(shares) > 0.85
     assert agreement(found)[0] > 0.9
+    again = object_masks(views, model, (UP, 0.0), lambda done, total: None, threads=2)
+    assert again is not None
+    for one, other in zip(found.masks, again.masks, strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 def test_an_empty_table_has_no_masks(
@@ -198,6 +202,15 @@ def test_a_folder_of_masks_is_adopted_and_a_missing_one_is_named(
         Masks.adopt(tmp_path)
     for name, mask in zip(model.names[1:], truth[1:], strict=True):
         Image.fromarray(mask).save(tmp_path / f"{name}.png")
+    first = tmp_path / f"{model.names[1]}.png"
+    good = first.read_bytes()
+    Image.fromarray(np.zeros_like(truth[1])).save(first)
+    with pytest.raises(InputError, match="shows no object"):
+        Masks.adopt(tmp_path)
+    first.write_bytes(good[: len(good) // 2])
+    with pytest.raises(InputError, match=rf"{first.name}.*white where the object is"):
+        Masks.adopt(tmp_path)
+    first.write_bytes(good)
     masks = Masks.adopt(tmp_path)
     with pytest.raises(InputError, match=model.names[0]):
         masks.applied(views, model.names)
