@@ -14,6 +14,7 @@ from torch import Tensor
 from refdgs_pipe.artifacts.sparse_model import Ball, SparseModel
 from refdgs_pipe.camera import F64, Camera
 from refdgs_pipe.training.carving import boundary, empty_cells, needed_by_masks
+from refdgs_pipe.training.ground import Surroundings
 from refdgs_pipe.training.outlines import outline_shifts
 from refdgs_pipe.training.photos import TrainingPhoto
 from refdgs_pipe.training.settings import TrainParams
@@ -22,6 +23,7 @@ from refdgs_pipe.training.volume import hollow_cells
 F32 = NDArray[np.float32]
 
 HULL_CELLS = 96  # along the ball's diameter
+GROUND_CELLS = 1.5  # above the ground, whose own thickness comes on top
 SKY_SURFELS = 4000
 SKY_DISTANCE = 8.0  # of the farthest camera from the ball, in their distance
 
@@ -52,6 +54,14 @@ class Hull:
         """World coordinates of the cells' centres along x, y and z."""
         x, y, z = (self.ball.center[axis] + self.ticks for axis in range(3))
         return x, y, z
+
+    def on_ground(self, around: Surroundings) -> NDArray[np.bool_]:
+        """(n, n, n) cells that touch the ground or lie below; the first ones above as well."""
+        x, y, z = np.meshgrid(*self.axes(), indexing="ij")
+        points = np.stack([x, y, z], -1).reshape(-1, 3)
+        if around.up is not None:
+            points = points - GROUND_CELLS * self.cell * around.up
+        return ~around.above(torch.from_numpy(points)).numpy().reshape(self.cells.shape)
 
 
 def visual_hull(ball: Ball, cameras: list[Camera], masks: list[F32]) -> Hull | None:
@@ -86,6 +96,7 @@ def carved(
     pictures: list[Tensor],
     masks: list[Tensor],
     *,
+    around: Surroundings | None = None,
     volume_steps: int = 0,
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
@@ -94,8 +105,12 @@ def carved(
 
     They are found by `empty_cells` and, with `volume_steps`, by `hollow_cells`. What the masks need
     comes back, and what no hollow reaches is filled.
+
+    Args:
+        around: knows the ground; what photos seem to see on it, within the masks, is mirrored.
     """
-    left = hull.cells & ~empty_cells(hull.cells, hull.axes(), cameras, pictures, masks)
+    low = None if around is None else hull.on_ground(around)
+    left = hull.cells & ~empty_cells(hull.cells, hull.axes(), cameras, pictures, masks, low)
     kept, known = (uniform_filter(c.astype(np.float32), 3) for c in (left, hull.cells))
     left = hull.cells & (kept >= 0.5 * known)  # a majority of the neighbours in the hull: no crumbs
     if volume_steps:
@@ -106,6 +121,7 @@ def carved(
             cameras,
             pictures,
             masks,
+            low,
             steps=volume_steps,
             seed=seed,
             progress=progress,
@@ -144,6 +160,7 @@ def hull_cloud(
             cameras,
             pictures,
             masks,
+            around=Surroundings(model, ground=True),
             volume_steps=p.volume_steps,
             seed=p.seed,
             progress=progress,

@@ -26,17 +26,23 @@ VARIATION_WEIGHT = 0.02  # of the opacity's total variation
 SLACK = 1.0  # cells that the surface must lie behind an empty cell
 RESIDUAL = 0.08  # sRGB: a pixel that the volume explains
 THROUGH = 15  # photos that must look through an empty cell, at most a sixth of all
+FOLDS = 2  # each photo is judged by a volume that was fitted to the others
 EXPLAINED = 0.5  # share of these in which the volume explains the pixel
 
 
 @dataclass(frozen=True)
 class _Space:
-    """A cubic grid around a centre, in world units; only `solid` cells can hold anything."""
+    """A cubic grid around a centre, in world units; only `solid` cells can hold anything.
+
+    low: the first cell's centre along each axis from `center`; ground (n, n, n): cells in which a
+    surface explains nothing.
+    """
 
     center: Tensor
     low: float
     cell: float
     solid: Tensor
+    ground: Tensor
 
     @property
     def cells(self) -> int:
@@ -65,6 +71,7 @@ def hollow_cells(
     cameras: list[Camera],
     pictures: list[Tensor],
     masks: list[Tensor],
+    low: Bool | None = None,
     *,
     steps: int,
     seed: int,
@@ -75,40 +82,54 @@ def hollow_cells(
     A grid of density and colour (as in direct voxel grid optimisation, Sun et al. 2022, without a
     network and without view dependence) starts all but empty and is fitted for some `steps` of
     random rays. Where most photos that look through a cell are explained by what lies behind, it is
-    a hollow. Mirrors are not explained, and keep their hull.
+    a hollow. Each photo is judged by a volume that never saw it: a volume can imitate a mirror in
+    photos that it learns, but not in others. Mirrors are not explained, and keep their hull.
 
     Args:
         hull: (n, n, n) cells that can hold anything.
         ticks: (n,) the cells' centres along each axis from `center`, world units.
         pictures: (3, H, W) float sRGB in [0, 1] for each camera, straight.
         masks: (H, W) float in [0, 1] for each camera.
+        low: (n, n, n) cells on the ground and below: a surface there explains no photo, as in
+            `empty_cells`.
         progress: told the steps done and their number; may raise to stop.
     """
     solid = torch.from_numpy(binary_dilation(hull))
     middle = torch.tensor(center, dtype=torch.float64)
-    space = _Space(middle, float(ticks[0]), float(ticks[1] - ticks[0]), solid)
-    parts = [_rays(*v, space, margin=True) for v in zip(cameras, pictures, masks, strict=True)]
-    rays = _Rays(
-        *(
-            torch.cat([getattr(part, name) for part, _ in parts])
-            for name in ("origin", "direction", "color", "mask")
-        )
-    )
-    if not len(rays.mask):
-        return np.zeros_like(hull)
-    volume = _fitted(rays, space, steps, seed, progress)
+    ground = torch.from_numpy(np.zeros_like(hull) if low is None else low)
+    space = _Space(middle, float(ticks[0]), float(ticks[1] - ticks[0]), solid, ground)
     index = torch.from_numpy(np.argwhere(hull))
     points = middle + space.low + index * space.cell
     through, explained = torch.zeros(2, len(points))
-    for camera, picture, mask in zip(cameras, pictures, masks, strict=True):
-        passes, good = _looks_through(camera, picture, mask, space, volume, points)
-        through += passes
-        explained += good
+    photos = list(zip(cameras, pictures, masks, strict=True))
+    for fold in range(FOLDS):
+        learned = [photo for i, photo in enumerate(photos) if i % FOLDS != fold]
+        rays = _joined([_rays(*photo, space, margin=True)[0] for photo in learned])
+        if not len(rays.mask):
+            return np.zeros_like(hull)
+        told = None if progress is None else _later(progress, fold * (steps // FOLDS), steps)
+        volume = _fitted(rays, space, steps // FOLDS, seed + fold, told)
+        for camera, picture, mask in photos[fold::FOLDS]:
+            passes, good = _looks_through(camera, picture, mask, space, volume, points)
+            through += passes
+            explained += good
     enough = min(THROUGH, math.ceil(len(cameras) / 6))
     empty = (through >= enough) & (explained >= EXPLAINED * through)
     out = np.zeros_like(hull)
     out[tuple(index[empty].T.numpy())] = True
     return out
+
+
+def _joined(parts: list[_Rays]) -> _Rays:
+    names = ("origin", "direction", "color", "mask")
+    return _Rays(*(torch.cat([getattr(part, name) for part in parts]) for name in names))
+
+
+def _later(
+    progress: Callable[[int, int], None], begun: int, steps: int
+) -> Callable[[int, int], None]:
+    """The same for work that begins after some of the steps."""
+    return lambda done, _: progress(begun + done, steps)
 
 
 def _rays(
@@ -235,10 +256,15 @@ def _looks_through(
     behind = passed > half
     first = samples[0].gather(1, behind.float().argmax(1)[:, None])[:, 0]
     first = torch.where(behind.any(1), first, torch.inf)  # distance of the surface
+    places = rays.origin + first.nan_to_num(posinf=0)[:, None] * rays.direction
+    i, j, k = (
+        ((places - space.low) / space.cell).round().long().clamp(0, space.cells - 1).unbind(-1)
+    )
     forward = rays.direction.double() @ pose[2, :3]
     depth, explained = torch.full(size, -1.0), torch.zeros(size)
     depth[y, x] = (first * forward).float()
-    explained[y, x] = ((image - rays.color).abs().amax(-1) < RESIDUAL).float()
+    good = ((image - rays.color).abs().amax(-1) < RESIDUAL) & ~space.ground[i, j, k]
+    explained[y, x] = good.float()
     px, py, z = (points @ pose[:3, :3].T + pose[:3, 3]).unbind(-1)
     K = camera.K
     column, row = ((px / z * K[0, 0] + K[0, 2]).floor(), (py / z * K[1, 1] + K[1, 2]).floor())

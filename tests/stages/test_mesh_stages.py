@@ -14,7 +14,7 @@ from stage_runs import FIELD, NO_MASKS, Run, model_of, show
 
 from refdgs_pipe.artifacts.asset import Asset
 from refdgs_pipe.artifacts.mesh import Mesh, RawMesh, UvMesh
-from refdgs_pipe.artifacts.sparse_model import Ball
+from refdgs_pipe.artifacts.sparse_model import Ball, SparseModel
 from refdgs_pipe.artifacts.surface_map import SurfaceMap
 from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
 from refdgs_pipe.artifacts.views import Views
@@ -30,6 +30,16 @@ def run(tmp_path: Path) -> Run:
 
 def photos(run: Run) -> Views:
     return finished.views(run.folder / "photos")
+
+
+def baked(run: Run, mesh: Mesh, model: SparseModel, *, size: int) -> TexturedMesh:
+    """The mesh with textures of that size, seen in the run's photos."""
+    looks = finished.appearance(mesh.vertices)
+    atlas: UvMesh = run("unwrap", mesh)
+    done: TexturedMesh = run(
+        "bake", atlas, looks, FIELD, model, photos(run), NO_MASKS, size=size, refine=False
+    )
+    return done
 
 
 def test_a_procedural_scene_becomes_files(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -82,17 +92,7 @@ def test_what_the_user_should_know_is_said(run: Run, monkeypatch: pytest.MonkeyP
     raw = run("extract", FIELD, whole, voxel=0.02)
     mesh = run("clean", raw, FIELD, whole, faces=2000)
     looks = finished.appearance(mesh.vertices)
-    textured = run(
-        "bake",
-        run("unwrap", mesh),
-        looks,
-        FIELD,
-        model,
-        photos(run),
-        NO_MASKS,
-        size=128,
-        refine=False,
-    )
+    textured = baked(run, mesh, model, size=128)
     run("export", textured, looks, FIELD, model, photos(run), preview=64)
     (seen,) = run.warnings()
     assert "was seen by no camera" in seen
@@ -157,17 +157,7 @@ def test_true_maps_give_the_true_asset(
     raw = run("extract", FIELD, model)
     mesh = run("clean", raw, FIELD, model)
     looks = finished.appearance(mesh.vertices)
-    textured = run(
-        "bake",
-        run("unwrap", mesh),
-        looks,
-        FIELD,
-        model,
-        photos(run),
-        NO_MASKS,
-        size=1024,
-        refine=False,
-    )
+    textured = baked(run, mesh, model, size=1024)
     photos_of = finished.views(run.folder / "photos")
     asset = run("export", textured, looks, FIELD, model, photos_of, preview=240)
     found = truth.distances(mesh.vertices, *truth.mesh(name))

@@ -97,7 +97,7 @@ def test_the_boundary_of_a_cube_is_its_outer_layer() -> None:
 def test_the_volume_shows_the_pit_of_an_open_box_and_keeps_its_walls() -> None:
     hull, colors, masks, cameras = hull_of(open_box(), cells=48)
     empty = hollow_cells(
-        hull.cells, hull.ticks, hull.ball.center, cameras, colors, masks, steps=200, seed=0
+        hull.cells, hull.ticks, hull.ball.center, cameras, colors, masks, steps=400, seed=0
     )
     x, y, z = np.meshgrid(*hull.axes(), indexing="ij")
     sideways, margin = np.maximum(np.abs(x), np.abs(y)), 1.5 * hull.cell
@@ -115,6 +115,28 @@ def test_photos_that_agree_on_nothing_show_the_volume_no_hollows() -> None:
         hull.cells, hull.ticks, hull.ball.center, cameras, colors, masks, steps=60, seed=0
     )
     assert empty[hull.cells].mean() < 0.02
+
+
+def test_a_volume_that_only_imitates_the_photos_it_learned_opens_nothing() -> None:
+    hull, colors, masks, cameras = hull_of(open_box(), "noise", cells=48)
+    some = [list(part)[::5] for part in (cameras, colors, masks)]
+    empty = hollow_cells(hull.cells, hull.ticks, hull.ball.center, *some, steps=400, seed=0)
+    assert empty[hull.cells].mean() < 0.02
+
+
+def test_what_photos_agree_on_at_the_ground_opens_nothing() -> None:
+    hull, colors, masks, cameras = hull_of(open_box(), cells=48)
+    x, y, z = np.meshgrid(*hull.axes(), indexing="ij")
+    low = z < -DEPTH / 2 + 2 * hull.cell  # the pit's bottom as the ground, mirrored in the walls
+    pit = (np.maximum(np.abs(x), np.abs(y)) < HALF - THICK) & (z > -DEPTH / 2) & hull.cells
+    photos = (cameras, colors, masks)
+    found = empty_cells(hull.cells, hull.axes(), *photos)
+    ground = empty_cells(hull.cells, hull.axes(), *photos, low)
+    assert ground[pit].mean() < 0.3 * found[pit].mean()
+    grid = (hull.cells, hull.ticks, hull.ball.center)
+    fitted = hollow_cells(*grid, *photos, steps=400, seed=0)
+    above = hollow_cells(*grid, *photos, low, steps=400, seed=0)
+    assert above[pit].mean() < 0.5 * fitted[pit].mean()
 
 
 def test_the_search_can_be_stopped_and_tells_its_progress() -> None:
