@@ -11,7 +11,6 @@ import numpy as np
 
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.errors import CorruptError, InputError
-from refdgs_pipe.files.images import read_png
 from refdgs_pipe.files.kinds import sniff
 
 Kind = Literal["given", "found", "adopted", "none"]
@@ -106,6 +105,8 @@ class Masks:
 
 def _check(file: Path) -> None:
     """Refuse a mask that cannot be read or shows no object."""
+    from refdgs_pipe.files.images import read_png
+
     try:
         mask = read_png(file)
     except CorruptError as error:
