@@ -57,7 +57,7 @@ class Shot:
 
 
 def whole_shots(views: Views, model: SparseModel, side: int) -> Iterator[Shot]:
-    """All photos, at most `side` pixels long; one after the other, as memory is dear."""
+    """All photos, at most `side` pixels long; one after the other, to keep few in memory."""
     for camera in model.cameras:
         scale = min(1.0, side / max(camera.width, camera.height))
         photo = load_photo(views, model, camera, scale=scale)

@@ -36,7 +36,7 @@ def empty_cells(
     cameras: list[Camera],
     pictures: list[Tensor],
     masks: list[Tensor],
-    low: Bool | None = None,
+    ground: Bool | None = None,
 ) -> Bool:
     """(nx, ny, nz) cells of the hull through which the photos see a surface that they agree on.
 
@@ -51,8 +51,8 @@ def empty_cells(
         ticks: world coordinates of the cells' centres along x, y and z, equally spaced.
         pictures: (3, H, W) float sRGB in [0, 1] for each camera, straight.
         masks: (H, W) float in [0, 1] for each camera.
-        low: (nx, ny, nz) cells on the ground and below. Within the masks no photo sees the ground:
-            what photos agree on there is its mirror image in a wall.
+        ground: (nx, ny, nz) cells on the ground and below. Within the masks no photo sees the
+            ground: what photos agree on there is its mirror image in a wall.
     """
     grid = _Grid(hull, ticks)
     count = min(len(cameras), VIEWS)
@@ -61,7 +61,7 @@ def empty_cells(
     cells = torch.nonzero(torch.from_numpy(hull).flatten()).flatten()
     if len(views) < FEWEST or not len(cells):
         return np.zeros_like(hull)
-    above = cells if low is None else cells[~torch.from_numpy(low.ravel())[cells]]
+    above = cells if ground is None else cells[~torch.from_numpy(ground.ravel())[cells]]
     surface, color = _surfaces(views, grid, hull, above)
     unknown = cells[~surface[cells]]
     through, matched = torch.zeros(2, hull.size)

@@ -56,7 +56,7 @@ class Hull:
         return x, y, z
 
     def on_ground(self, around: Surroundings) -> NDArray[np.bool_]:
-        """(n, n, n) cells that touch the ground or lie below; the first ones above as well."""
+        """(n, n, n) cells on the ground, below it, and up to GROUND_CELLS above it."""
         x, y, z = np.meshgrid(*self.axes(), indexing="ij")
         points = np.stack([x, y, z], -1).reshape(-1, 3)
         if around.up is not None:
@@ -109,8 +109,8 @@ def carved(
     Args:
         around: knows the ground; what photos seem to see on it, within the masks, is mirrored.
     """
-    low = None if around is None else hull.on_ground(around)
-    left = hull.cells & ~empty_cells(hull.cells, hull.axes(), cameras, pictures, masks, low)
+    ground = None if around is None else hull.on_ground(around)
+    left = hull.cells & ~empty_cells(hull.cells, hull.axes(), cameras, pictures, masks, ground)
     kept, known = (uniform_filter(c.astype(np.float32), 3) for c in (left, hull.cells))
     left = hull.cells & (kept >= 0.5 * known)  # a majority of the neighbours in the hull: no crumbs
     if volume_steps:
@@ -121,7 +121,7 @@ def carved(
             cameras,
             pictures,
             masks,
-            low,
+            ground,
             steps=volume_steps,
             seed=seed,
             progress=progress,

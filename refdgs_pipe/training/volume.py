@@ -32,10 +32,13 @@ EXPLAINED = 0.5  # share of these in which the volume explains the pixel
 
 @dataclass(frozen=True)
 class _Space:
-    """A cubic grid around a centre, in world units; only `solid` cells can hold anything.
+    """A cubic grid of cells around a centre, in world units.
 
-    low: the first cell's centre along each axis from `center`; ground (n, n, n): cells in which a
-    surface explains nothing.
+    Args:
+        low: the first cell's centre along each axis from `center`.
+        cell: edge length.
+        solid: (n, n, n) bool, cells that can hold anything.
+        ground: (n, n, n) bool, cells in which a surface explains no photo.
     """
 
     center: Tensor
@@ -71,7 +74,7 @@ def hollow_cells(
     cameras: list[Camera],
     pictures: list[Tensor],
     masks: list[Tensor],
-    low: Bool | None = None,
+    ground: Bool | None = None,
     *,
     steps: int,
     seed: int,
@@ -90,25 +93,25 @@ def hollow_cells(
         ticks: (n,) the cells' centres along each axis from `center`, world units.
         pictures: (3, H, W) float sRGB in [0, 1] for each camera, straight.
         masks: (H, W) float in [0, 1] for each camera.
-        low: (n, n, n) cells on the ground and below: a surface there explains no photo, as in
+        ground: (n, n, n) cells on the ground and below: a surface there explains no photo, as in
             `empty_cells`.
         progress: told the steps done and their number; may raise to stop.
     """
     solid = torch.from_numpy(binary_dilation(hull))
     middle = torch.tensor(center, dtype=torch.float64)
-    ground = torch.from_numpy(np.zeros_like(hull) if low is None else low)
-    space = _Space(middle, float(ticks[0]), float(ticks[1] - ticks[0]), solid, ground)
+    below = torch.from_numpy(np.zeros_like(hull) if ground is None else ground)
+    space = _Space(middle, float(ticks[0]), float(ticks[1] - ticks[0]), solid, below)
     index = torch.from_numpy(np.argwhere(hull))
     points = middle + space.low + index * space.cell
     through, explained = torch.zeros(2, len(points))
     photos = list(zip(cameras, pictures, masks, strict=True))
     for fold in range(FOLDS):
         learned = [photo for i, photo in enumerate(photos) if i % FOLDS != fold]
-        rays = _joined([_rays(*photo, space, margin=True)[0] for photo in learned])
-        if not len(rays.mask):
+        rays = [_rays(*photo, space, margin=True)[0] for photo in learned]
+        if not any(len(part.mask) for part in rays):
             return np.zeros_like(hull)
         told = None if progress is None else _later(progress, fold * (steps // FOLDS), steps)
-        volume = _fitted(rays, space, steps // FOLDS, seed + fold, told)
+        volume = _fitted(_joined(rays), space, steps // FOLDS, seed + fold, told)
         for camera, picture, mask in photos[fold::FOLDS]:
             passes, good = _looks_through(camera, picture, mask, space, volume, points)
             through += passes
@@ -121,6 +124,7 @@ def hollow_cells(
 
 
 def _joined(parts: list[_Rays]) -> _Rays:
+    """The rays of several photos as one set."""
     names = ("origin", "direction", "color", "mask")
     return _Rays(*(torch.cat([getattr(part, name) for part in parts]) for name in names))
 
@@ -128,7 +132,7 @@ def _joined(parts: list[_Rays]) -> _Rays:
 def _later(
     progress: Callable[[int, int], None], begun: int, steps: int
 ) -> Callable[[int, int], None]:
-    """The same for work that begins after some of the steps."""
+    """Progress of work that begins after `begun` steps of `steps` were done."""
     return lambda done, _: progress(begun + done, steps)
 
 
