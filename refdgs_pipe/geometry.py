@@ -8,6 +8,7 @@ from refdgs_pipe.camera import Camera
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
+ONE_SIDED_DEG = 150.0  # of a stretch round the object without a photo
 _ROUNDS = 20
 
 
@@ -33,6 +34,58 @@ def _shortest_rotation(source: F64, target: F64) -> F64:
     x, y, z = axis
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.asarray(np.eye(3) + cross + cross @ cross / (1 + cosine))
+
+
+def widest_stretch(azimuths: list[float]) -> tuple[float, float]:
+    """Start and end, end > start, of the widest part of a circle without any of the azimuths.
+
+    Args:
+        azimuths: degrees from -180 to 180, at least one.
+    """
+    order = sorted(azimuths)
+    stretches = [(a, b) for a, b in zip(order, [*order[1:], order[0] + 360.0], strict=True)]
+    return max(stretches, key=lambda s: s[1] - s[0])
+
+
+def one_sided(cameras: tuple[Camera, ...], middle: F64, up: F64) -> bool:
+    """Whether all photos of an object were taken from about one side.
+
+    Args:
+        middle: (3,) of the object; up: (3,) unit.
+    """
+    away = np.stack([camera.center for camera in cameras]) - middle
+    x, _, z = y_up_from_z_up(up) @ away.T
+    start, end = widest_stretch([float(a) for a in np.degrees(np.arctan2(x, z))])
+    return end - start >= ONE_SIDED_DEG
+
+
+def through_plane(one: Camera, other: Camera, inverse: float) -> F64:
+    """(3, 3) from a photo's pixels to another's, by a plane at a depth of 1 / `inverse`.
+
+    Pixel centres are at +0.5; 0 is a plane at infinity.
+    """
+    turn = other.cam_from_world[:3, :3] @ one.cam_from_world[:3, :3].T
+    shift = other.cam_from_world[:3, 3] - turn @ one.cam_from_world[:3, 3]
+    moved = turn + np.outer(shift, [0, 0, inverse])
+    return np.asarray(other.K @ moved @ np.linalg.inv(one.K))
+
+
+def homography_warp(image: F32, to: F64, width: int, height: int, outside: float) -> F32:
+    """(height, width, ...) the image seen through a homography.
+
+    Args:
+        to: (3, 3) from the result's coordinates to those of the image, pixel centres at +0.5.
+        outside: what stands where the image has nothing.
+    """
+    import cv2
+
+    shift = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1.0]])
+    matrix = np.linalg.inv(shift) @ to @ shift
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    out = cv2.warpPerspective(
+        image, matrix, (width, height), flags=flags, borderValue=(outside,) * 4
+    )
+    return np.asarray(out, np.float32)
 
 
 def without_jumps(depth: F32, normal: F32, camera: Camera, slack: float) -> NDArray[np.bool_]:

@@ -1,9 +1,16 @@
-"""The one function that turns the world to +Y up."""
+"""The world turned to +Y up, directions round an object, and pictures seen through planes."""
 
 import numpy as np
 import pytest
+from scenes import look_at
 
-from refdgs_pipe.geometry import y_up_from_z_up
+from refdgs_pipe.geometry import (
+    homography_warp,
+    one_sided,
+    through_plane,
+    widest_stretch,
+    y_up_from_z_up,
+)
 
 
 def test_z_up_becomes_y_up_by_the_quarter_turn_of_every_tool() -> None:
@@ -17,3 +24,35 @@ def test_any_up_becomes_plus_y_without_mirroring(up: tuple[float, float, float])
     np.testing.assert_allclose(turn @ up / np.linalg.norm(up), [0, 1, 0], atol=1e-9)
     np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-9)
     assert np.linalg.det(turn) > 0
+
+
+def test_the_widest_stretch_may_go_over_the_back() -> None:
+    assert widest_stretch([-90.0, 0.0, 90.0]) == (90.0, 270.0)
+    assert widest_stretch([-170.0, 20.0, 170.0]) == (-170.0, 20.0)
+    assert widest_stretch([5.0]) == (5.0, 365.0)
+
+
+@pytest.mark.parametrize("spread, expected", [(50, True), (100, True), (120, False), (170, False)])
+def test_photos_within_half_a_turn_are_from_one_side(spread: float, expected: bool) -> None:
+    angles = np.radians(np.linspace(-spread, spread, 15))
+    cameras = tuple(
+        look_at(f"{i}", np.array([np.cos(a), np.sin(a), 0.4])) for i, a in enumerate(angles)
+    )
+    assert one_sided(cameras, np.zeros(3), np.array([0.0, 0.0, 1.0])) is expected
+
+
+def test_a_plane_of_equal_depth_takes_pixels_to_where_the_other_photo_sees_them() -> None:
+    one, other = look_at("a", np.array([3.0, 0, 1])), look_at("b", np.array([2.8, 0.6, 1.2]))
+    pixel, depth = np.array([70.5, 90.5, 1.0]), 2.7
+    point = np.linalg.inv(one.K) @ pixel * depth
+    world = one.world_from_cam[:3, :3] @ point + one.world_from_cam[:3, 3]
+    expected, _ = other.project(world[None])
+    x, y, w = through_plane(one, other, 1 / depth) @ pixel
+    np.testing.assert_allclose([x / w, y / w], expected[0], atol=1e-9)
+
+
+def test_a_picture_moved_by_whole_pixels_stays_sharp() -> None:
+    picture = np.random.default_rng(0).random((8, 9)).astype(np.float32)
+    moved = homography_warp(picture, np.array([[1, 0, 2], [0, 1, 1], [0, 0, 1.0]]), 9, 8, -1.0)
+    np.testing.assert_allclose(moved[:-1, :-2], picture[1:, 2:], atol=1e-6)
+    assert (moved[-1] == -1).all()

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from refdgs_pipe.artifacts.sparse_model import SparseModel
-from refdgs_pipe.geometry import y_up_from_z_up
+from refdgs_pipe.geometry import widest_stretch, y_up_from_z_up
 
 LOW_DEG, HIGH_DEG = 15.0, 45.0  # heights that a walk round an object on a table takes in
 
@@ -59,6 +59,4 @@ def around(model: SparseModel) -> Around | None:
             found.append(Direction(camera.name, azimuth, height))
     if len(found) < 2:
         return None
-    order = sorted(direction.azimuth for direction in found)
-    stretches = [(a, b) for a, b in zip(order, [*order[1:], order[0] + 360.0], strict=True)]
-    return Around(tuple(found), max(stretches, key=lambda s: s[1] - s[0]))
+    return Around(tuple(found), widest_stretch([direction.azimuth for direction in found]))

@@ -11,7 +11,8 @@ import numpy as np
 
 from refdgs_pipe.artifacts.sparse_model import Ball
 from refdgs_pipe.camera import F64
-from refdgs_pipe.masking.shots import F32, Bools, Shot, box_around, homography_warp, mapped
+from refdgs_pipe.geometry import homography_warp, through_plane
+from refdgs_pipe.masking.shots import F32, Bools, Shot, box_around, mapped
 from refdgs_pipe.masking.table import LIMIT, Evidence, alike, smooth
 
 NEIGHBOURS = 5
@@ -87,7 +88,8 @@ def _judged(
     for inverse in np.linspace(0, most, DEPTHS):
         likes = []
         for one in near:
-            H = _through_plane(photo.shot, one.shot, float(inverse)) @ _shift(left, top)
+            H = through_plane(photo.shot.camera, one.shot.camera, float(inverse))
+            H = H @ _shift(left, top)
             other = homography_warp(one.logs, H, width, height, 9.0)
             clear = homography_warp(one.free, H, width, height, 0.0)
             seen = ((clear > 0.99) & (other[..., 0] < 8)).astype(np.float32)
@@ -101,14 +103,6 @@ def _judged(
     missed = 0.9 * np.clip(1.5 * told - 0.5, 0, 1)  # no depth matches, if most could be tried
     value = 3.5 * (best - EVEN) * np.where(best > EVEN, 1.2, missed)
     return np.where(known, value, 0).clip(-LIMIT, LIMIT).astype(np.float32), known
-
-
-def _through_plane(one: Shot, other: Shot, inverse: float) -> F64:
-    """(3, 3) from a photo to another by a plane of constant depth 1 / inverse."""
-    R = other.camera.cam_from_world[:3, :3] @ one.camera.cam_from_world[:3, :3].T
-    t = other.camera.cam_from_world[:3, 3] - R @ one.camera.cam_from_world[:3, 3]
-    moved = R + np.outer(t, [0, 0, inverse])
-    return np.asarray(other.camera.K @ moved @ np.linalg.inv(one.camera.K))
 
 
 def _shift(left: float, top: float) -> F64:

@@ -25,6 +25,7 @@ from refdgs_pipe.masking.shots import (
 )
 from refdgs_pipe.masking.solid import agreed, grid, pixels_of, silhouette
 from refdgs_pipe.masking.table import Evidence, Ground, Table, shown_plane, smooth
+from refdgs_pipe.masking.walls import Wall, footprint, mirror_walls
 
 
 @dataclass(frozen=True)
@@ -103,9 +104,10 @@ def object_masks(
         threads: photos that are worked on at a time; the result does not depend on it.
     """
     found: Found | None = None
+    walls = _walls(views, model, plane, threads)
     total, done = sum(len(level.denials) for level in LEVELS) + 1, 0
     for level in LEVELS:
-        worker = _Worker(views, model, plane, level, found, threads)
+        worker = _Worker(views, model, plane, level, found, threads, walls)
         for deny in level.denials:
             progress(done, total)
             found = worker.round(found, deny)
@@ -116,8 +118,20 @@ def object_masks(
             found = worker.with_room(found)
     progress(done, total)
     return (
-        None if found is None else _Worker(views, model, plane, LAST, found, threads).final(found)
+        None
+        if found is None
+        else _Worker(views, model, plane, LAST, found, threads, walls).final(found)
     )
+
+
+def _walls(views: Views, model: SparseModel, plane: tuple[F64, float], threads: int) -> list[Wall]:
+    """The flat mirrors that stand on the plane."""
+    level, ball = LEVELS[-1], model.ball
+    shots = list(whole_shots(views, model, level.side))
+    table = Table(Ground.under(ball, *plane, WIDE * ball.radius), level.cells, len(shots), threads)
+    table.found(shots)
+    centers = np.stack([shot.camera.center for shot in shots])
+    return mirror_walls(table, table.seen(shots, None), centers, ball.radius)
 
 
 def agreement(found: Found) -> tuple[float, float]:
@@ -144,6 +158,7 @@ class _Worker:
         level: Level,
         found: Found | None,
         threads: int,
+        walls: list[Wall],
     ) -> None:
         self.normal, offset = plane
         self.level, self.ball, self.threads = level, model.ball, threads
@@ -159,6 +174,7 @@ class _Worker:
         reach = WIDE * model.ball.radius if found is None else NARROW * found.reach
         ground = Ground.under(self.ball, self.normal, offset, reach)
         self.table = Table(ground, level.cells, len(self.shots), threads)
+        self.table.covered = footprint(walls, self.table)
         within = found.ball if found is not None and level is LAST else self.ball
         self.cells = grid(within, self.normal, offset, level.solid)
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from refdgs_pipe.artifacts.photos import load_photo
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.views import Views
-from refdgs_pipe.camera import F64, Camera
+from refdgs_pipe.camera import Camera
 
 F32 = NDArray[np.float32]
 Bools = NDArray[np.bool_]
@@ -107,22 +107,6 @@ def grown(mask: Bools, reach: int) -> Bools:
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
     change = cv2.dilate if reach > 0 else cv2.erode
     return np.asarray(change(mask.astype(np.uint8), kernel) > 0)
-
-
-def homography_warp(image: F32, to: F64, width: int, height: int, outside: float) -> F32:
-    """(height, width, ...) the image seen through a homography.
-
-    Args:
-        to: (3, 3) from the result's coordinates to those of the image, pixel centres at +0.5.
-        outside: what stands where the image has nothing.
-    """
-    shift = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1.0]])
-    matrix = np.linalg.inv(shift) @ to @ shift
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    out = cv2.warpPerspective(
-        image, matrix, (width, height), flags=flags, borderValue=(outside,) * 4
-    )
-    return np.asarray(out, np.float32)
 
 
 def mapped(function: Callable[[T], S], items: Iterable[T], threads: int) -> list[S]:

@@ -14,7 +14,8 @@ import torch
 
 from refdgs_pipe.artifacts.sparse_model import Ball
 from refdgs_pipe.camera import F64, Camera
-from refdgs_pipe.masking.shots import F32, Bools, Shot, homography_warp, mapped
+from refdgs_pipe.geometry import homography_warp
+from refdgs_pipe.masking.shots import F32, Bools, Shot, mapped
 
 TOLERANCES = (0.25, 0.15)  # of log colour, within which photos agree: at first, then
 CANDIDATES = 12  # photos whose colour is proposed where it is not known who sees the plane
@@ -78,6 +79,8 @@ class Table:
 
     Args:
         cells: along an edge of the picture; count: of the photos.
+
+    `covered`: (cells, cells) where the object stands for sure, as far as that is known.
     """
 
     def __init__(self, ground: Ground, cells: int, count: int, threads: int = 1) -> None:
@@ -89,6 +92,7 @@ class Table:
         self.gains = np.zeros((count, 6), np.float32)
         self.colour = np.zeros((cells, cells, 3), np.float32)
         self.share = np.zeros((cells, cells), np.float32)
+        self.covered: Bools = np.zeros((cells, cells), bool)
 
     def found(self, shots: list[Shot], hidden: list[Bools] | None = None) -> "Table":
         """Find the picture.
@@ -97,16 +101,16 @@ class Table:
             hidden: (H, W) where each photo shows the object for sure; None at first.
         """
         if hidden is None:
-            seen = self._seen(shots, None)
+            seen = self.seen(shots, None)
             level = np.array([np.nanmedian(s) for s in seen])
             shift = level - np.median(level)
             self.gains[:, 0] = np.where(np.abs(shift) > 0.1, shift, 0)
             for tolerance in TOLERANCES:
-                seen = self._seen(shots, None)
+                seen = self.seen(shots, None)
                 self._agree(seen, tolerance)
                 self._fit_gains(seen)
             return self
-        seen = self._seen(shots, hidden)
+        seen = self.seen(shots, hidden)
         count = np.isfinite(seen[..., 0]).sum(0)
         self.colour = torch.from_numpy(seen).nanmedian(0).values.numpy()
         near = (np.abs(seen - self.colour).max(-1) < TOLERANCES[-1]).sum(0)
@@ -115,7 +119,7 @@ class Table:
         self._fit_gains(seen)
         return self
 
-    def _seen(self, shots: list[Shot], hidden: list[Bools] | None) -> F32:
+    def seen(self, shots: list[Shot], hidden: list[Bools] | None) -> F32:
         """(N, n, n, 3) the plane as each photo shows it; NaN where it does not."""
         n = self.cells
         out = np.empty((len(shots), n, n, 3), np.float32)
@@ -170,6 +174,12 @@ class Table:
                 X, y = X[keep], y[keep]
             self.gains[i] += fit.astype(np.float32)
 
+    def drawn_cover(self, shot: Shot) -> Bools:
+        """(H, W) the pixels that show where the object stands, at its foot or before it."""
+        back = np.asarray(np.linalg.inv(self.ground.homography(shot.camera, self.cells)))
+        size = (shot.camera.width, shot.camera.height)
+        return homography_warp(self.covered.astype(np.float32), back, *size, 0.0) > 0.5
+
     def drawn(self, i: int, shot: Shot) -> tuple[F32, F32]:
         """(H, W, 3) the plane as photo i would show it, NaN where it has none; (H, W) its share."""
         camera = shot.camera
@@ -220,11 +230,13 @@ def shown_plane(
         for value, where in zip(values, within, strict=True):
             value[where] = scale * (value[where] - zero)
     out = []
-    for value, share in zip(values, shares, strict=True):
+    for shot, value, share in zip(shots, values, shares, strict=True):
         sure = np.clip((share - low) / (high - low), 0, 1)
         other = np.clip((share - high) / (0.8 - high), 0, 1)  # against a plane that all agree on
         steep = np.where(value < 0, value.clip(-TYPICAL) * other, value.clip(None, LIMIT) * sure)
-        out.append(Evidence(np.asarray(steep, np.float32), share > low))
+        covers = table.drawn_cover(shot)
+        steep = np.where(covers, -TYPICAL, steep)
+        out.append(Evidence(np.asarray(steep, np.float32), (share > low) | covers))
     return out
 
 

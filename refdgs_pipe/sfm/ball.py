@@ -43,15 +43,20 @@ def object_ball(cameras: tuple[Camera, ...], views: Views) -> Ball:
     return carved or guess
 
 
-def grown_ball(ball: Ball, solid: F64) -> Ball:
+def grown_ball(ball: Ball, solid: F64, *, one_sided: bool = False) -> Ball:
     """The ball, enlarged if the points that are on no wall or table lie at its rim and around it.
 
     What most photos show whole is too small where photos are narrow or close: at most 1.6 times.
 
     Args:
         solid: (n, 3) points on no large plane, near the ball.
+        one_sided: photos show one side of something that may go on beyond the pictures: the ball
+            holds nearly all points near it.
     """
     near = solid[np.linalg.norm(solid - ball.center, axis=1) < GROWTH * ball.radius]
+    if one_sided and len(near) >= 100:
+        reach = float(np.quantile(np.linalg.norm(near - ball.center, axis=1), 0.95))
+        return Ball(ball.center, float(np.clip(MARGIN * reach, ball.radius, GROWTH * ball.radius)))
     middle = np.median(np.linalg.norm(near - ball.center, axis=1)) if len(near) >= 100 else 0.0
     if middle < CROWDED_RIM * ball.radius:
         return ball

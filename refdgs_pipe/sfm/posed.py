@@ -12,6 +12,7 @@ from refdgs_pipe.artifacts.sparse_model import Ball, Lost, SparseModel
 from refdgs_pipe.artifacts.views import View, Views
 from refdgs_pipe.camera import F64, Camera, Lens
 from refdgs_pipe.files.colmap import opencv_lens
+from refdgs_pipe.geometry import one_sided
 from refdgs_pipe.sfm.ball import grown_ball, object_ball
 from refdgs_pipe.sfm.frame import moved, world_from_sfm
 from refdgs_pipe.sfm.poses import Shots
@@ -103,7 +104,9 @@ def in_world_frame(model: SparseModel, views: Views, *, up: F64 | None = None) -
     up = level_up(model.cameras) if up is None else up
     ball = object_ball(model.cameras, views)
     if views.background == "photo":
-        ball = grown_ball(ball, off_planes(model.points, ball.center, ball.radius))
+        solid = off_planes(model.points, ball.center, ball.radius)
+        one_side = one_sided(model.cameras, ball.center, up)
+        ball = grown_ball(ball, solid, one_sided=one_side)
     plane = support_plane(model.points, ball.center, ball.radius, up)
     up = up if plane is None or told else plane.normal
     front = model.cameras[0].center

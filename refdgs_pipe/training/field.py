@@ -20,6 +20,7 @@ from refdgs_pipe.training.poses import Poses
 from refdgs_pipe.training.reflection import Shader
 from refdgs_pipe.training.settings import TrainParams
 from refdgs_pipe.training.shading import Picture, Scene, sh_color
+from refdgs_pipe.training.starting import BALL_MARGIN, Given, starting_background, starting_geometry
 from refdgs_pipe.training.surfels import (
     DensityRules,
     TrainableSet,
@@ -30,12 +31,8 @@ from refdgs_pipe.training.surfels import (
     step_all,
 )
 
-HULL_OPACITY = 0.5
-BALL_OPACITY = 0.1
 LOCAL_OPACITY = 0.1
-BACKGROUND_OPACITY = 0.1
 FAINT = 0.05  # what starts as faint as 0.1 is pruned below this at most
-BALL_MARGIN = 1.1  # object surfels may stray this far, in ball radii
 POSES_FROM = 0.1  # fraction of the run after which poses are refined
 LARGEST = 0.1  # surfels larger than this share of the extent go
 
@@ -48,6 +45,7 @@ class TrainableField:
         masked: the photos' background is removed, and needs no surfels.
         device: where the surfels and the shader are.
         behind: the background's surfels to start from, if they are known.
+        agreed: what photos agree on, to start from without masks.
         refined: the photos' poses are corrected.
         restored: the surfels are about to be replaced by those of a checkpoint.
         progress: told the steps done and their number while the start is looked for; may raise.
@@ -63,6 +61,7 @@ class TrainableField:
         near: float,
         device: str = "cpu",
         behind: dict[str, Tensor] | None = None,
+        agreed: initial.Cloud | None = None,
         refined: bool = False,
         restored: bool = False,
         progress: Callable[[int, int], None] | None = None,
@@ -82,35 +81,44 @@ class TrainableField:
         rng = np.random.default_rng(params.seed)
         self.rates = self._rates()
         self.faintest = params.prune_opacity
-        self.geometry = self._set(self._geometry(model, photos, rng, restored, progress))
+        given = Given(params, model, photos, self.around, agreed, restored, progress)
+        raw, faint = starting_geometry(given, rng)
+        if faint:
+            self.faintest = min(self.faintest, FAINT)
+        self.geometry = self._set(raw)
         self.local: TrainableSet | None = None
         self.shader: Shader | None = None
         self.shader_optimizer: list[torch.optim.Adam] = []
         if params.reflection:
-            self.shader = Shader(
-                params.environment_height,
-                params.local,
-                params.mixing,
-                params.physical,
-                half=params.bfloat16,
-            ).to(device)
-            groups = [
-                {"params": [self.shader.environment], "lr": params.rate_environment},
-                {"params": [*self.shader.weights, *self.shader.biases], "lr": params.rate_shader},
-            ]
-            self.shader_optimizer = [torch.optim.Adam(groups, eps=1e-15, fused=True)]
-            if params.local == "dual":
-                cloud = initial.ball_cloud(model.ball, params.local_surfels, rng)
-                raw = initial.raw_discs(cloud, LOCAL_OPACITY)
-                raw["features"] = torch.zeros(params.local_surfels, 4)
-                self.local = self._set(raw)
+            self._with_reflections(model, rng)
         self.background: TrainableSet | None = None
         self.exposures: Exposures | None = None
         if not masked and params.exposure == "fitted":
             self.exposures = Exposures(len(photos), params.rate_exposure, device)
         self.poses = Poses(cameras, model.ball, params.rate_poses) if refined else None
         if not masked:
-            self.background = self._set(behind or self._background(model, photos, rng))
+            self.background = self._set(behind or starting_background(given, rng))
+
+    def _with_reflections(self, model: SparseModel, rng: np.random.Generator) -> None:
+        """The shader, and local surfels throughout the ball."""
+        p = self.params
+        self.shader = Shader(
+            p.environment_height,
+            p.local,
+            p.mixing,
+            p.physical,
+            half=p.bfloat16,
+        ).to(self.device)
+        groups = [
+            {"params": [self.shader.environment], "lr": p.rate_environment},
+            {"params": [*self.shader.weights, *self.shader.biases], "lr": p.rate_shader},
+        ]
+        self.shader_optimizer = [torch.optim.Adam(groups, eps=1e-15, fused=True)]
+        if p.local == "dual":
+            cloud = initial.ball_cloud(model.ball, p.local_surfels, rng)
+            raw = initial.raw_discs(cloud, LOCAL_OPACITY)
+            raw["features"] = torch.zeros(p.local_surfels, 4)
+            self.local = self._set(raw)
 
     def _set(self, raw: dict[str, Tensor]) -> TrainableSet:
         return TrainableSet({k: v.to(self.device) for k, v in raw.items()}, self.rates)
@@ -127,54 +135,6 @@ class TrainableField:
             "features": p.rate_features,
             "sh": 0.002,
         }
-
-    def _geometry(
-        self,
-        model: SparseModel,
-        photos: list[TrainingPhoto],
-        rng: np.random.Generator,
-        restored: bool,
-        progress: Callable[[int, int], None] | None,
-    ) -> dict[str, Tensor]:
-        p, cloud, opacity = self.params, None, self.params.start_opacity
-        if p.start != "ball" and all(photo.mask is not None for photo in photos):
-            cloud = initial.hull_cloud(p, model, photos, rng, restored, progress)
-            opacity = p.start_opacity if p.start == "volume" else HULL_OPACITY
-        if cloud is None or p.start == "volume":
-            self.faintest = min(self.faintest, FAINT)
-        if cloud is None:
-            cloud, opacity = initial.ball_cloud(model.ball, p.surfels, rng), BALL_OPACITY
-            cloud = initial.chosen(cloud, self.around.above(torch.from_numpy(cloud.points)).numpy())
-            inside = self.around.objects(torch.from_numpy(model.points), BALL_MARGIN).numpy()
-            if inside.any():
-                points, colors = model.points[inside], model.point_colors[inside]
-                sparse = initial.sparse_cloud(points, colors, [ph.camera for ph in photos], rng)
-                cloud = initial.joined(cloud, sparse)
-        raw = initial.raw_discs(cloud, opacity)
-        n = len(cloud.points)
-        bias = p.diffuse_bias if p.reflection else 0.0
-        raw["raw_diffuse"] = torch.full((n, 3), -bias)
-        raw["raw_roughness"] = torch.zeros(n)
-        if p.reflection and p.local == "shared":
-            raw["features"] = torch.zeros(n, 4)
-        return raw
-
-    def _background(
-        self, model: SparseModel, photos: list[TrainingPhoto], rng: np.random.Generator
-    ) -> dict[str, Tensor]:
-        cameras = [photo.camera for photo in photos]
-        mean = torch.stack([photo.rgb.float().mean((1, 2)) for photo in photos]).mean(0) / 255
-        cloud = initial.sky_cloud(model.ball, cameras, mean.double().numpy())
-        outside = ~self.around.objects(torch.from_numpy(model.points)).numpy()
-        if outside.any():
-            points, colors = model.points[outside], model.point_colors[outside]
-            cloud = initial.joined(cloud, initial.sparse_cloud(points, colors, cameras, rng))
-        raw = initial.raw_discs(cloud, BACKGROUND_OPACITY)
-        raw["raw_opacities"][: initial.SKY_SURFELS] = math.log(0.9 / 0.1)
-        sh = torch.zeros(len(cloud.points), 12)
-        sh[:, :3] = (torch.tensor(cloud.colors, dtype=torch.float32) - 0.5) / 0.28209479177387814
-        raw["sh"] = sh
-        return raw
 
     def set_rates(self, fraction: float) -> None:
         """Centres slow down log-linearly to 1/100 over the run, all else at its end."""

@@ -240,6 +240,11 @@ class TrainParams(Params):
         description="steps at the coarse scale in which the object is looked for, where there are "
         "no masks; 0: none, and surfels start throughout the ball",
     )
+    unmasked: Literal["auto", "look", "stereo"] = Field(
+        "auto",
+        description="where surfels start without masks: look: where a first look finds the object; "
+        "stereo: on what neighbouring photos agree on; auto: stereo for photos from one side",
+    )
     start: Literal["hull", "volume", "carved", "ball"] = Field(
         "carved",
         description="where surfels start when there are masks: on their visual hull, throughout "

@@ -23,6 +23,7 @@ from refdgs_pipe.ops.plan import Asked
 from refdgs_pipe.training.checkpoint import read_checkpoint, write_checkpoint
 from refdgs_pipe.training.coverage import coverage
 from refdgs_pipe.training.field import TrainableField
+from refdgs_pipe.training.initial import Cloud
 from refdgs_pipe.training.look import Look, look
 from refdgs_pipe.training.photos import TrainingPhoto, load_training_photos, numbered, shrunk
 from refdgs_pipe.training.plateau import Plateau, hold_out
@@ -30,6 +31,7 @@ from refdgs_pipe.training.recorded import RecordedSteps
 from refdgs_pipe.training.renewal import TURNING, renewed
 from refdgs_pipe.training.settings import TrainParams
 from refdgs_pipe.training.step import NEAR, Taken
+from refdgs_pipe.training.stereo_start import agreed_cloud
 from refdgs_pipe.training.work import share_behind
 
 
@@ -102,12 +104,8 @@ class Trainer:
         self.rng = torch.Generator().manual_seed(params.seed)
         torch.manual_seed(params.seed)
         self.masked = views.background != "photo"
-        seen = Look(photos, None)
-        if not self.masked and params.look_steps > 0:
-            seen = look(
-                params, model, photos, scratch, near=self.near, device=device, progress=starting
-            )
-            photos = seen.limited
+        agreed, seen = self._start(photos, starting)
+        photos = seen.limited if seen.background is not None else photos
         self.field = TrainableField(
             params,
             model,
@@ -116,6 +114,7 @@ class Trainer:
             near=self.near,
             device=device,
             behind=seen.background,
+            agreed=agreed,
             refined=params.poses == "refined" and not views.has_known_poses,
             restored=read_checkpoint(scratch) is not None,
             progress=starting,
@@ -137,6 +136,25 @@ class Trainer:
         recorder, insists = self._recorder(cuda_graph), cuda_graph is True
         self.steps = RecordedSteps(self.field, recorder, insists=insists, warn=warn)
         self._later: Later[tuple[Moment, Asked]] = Later(device)  # loss, squared errors, needs
+
+    def _start(
+        self, photos: list[TrainingPhoto], starting: Callable[[int, int], None] | None
+    ) -> tuple[Cloud | None, Look]:
+        """What photos without masks agree on, if they start there, or what a look at them found."""
+        agreed = None
+        if not self.masked:
+            agreed = agreed_cloud(self.params, self.model, photos, self.scratch, starting)
+        if self.masked or agreed is not None or self.params.look_steps == 0:
+            return agreed, Look(photos, None)
+        return None, look(
+            self.params,
+            self.model,
+            photos,
+            self.scratch,
+            near=self.near,
+            device=self.device,
+            progress=starting,
+        )
 
     def _recorder(self, wanted: bool | None) -> Recorder | None:
         """What records a GPU's steps, where they can be and may be."""

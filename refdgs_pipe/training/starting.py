@@ -1,0 +1,106 @@
+"""The surfels that training starts with, as raw tensors: the object's and the background's."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from refdgs_pipe.artifacts.sparse_model import SparseModel
+from refdgs_pipe.color import linear_from_srgb
+from refdgs_pipe.training import initial
+from refdgs_pipe.training.ground import Surroundings
+from refdgs_pipe.training.photos import TrainingPhoto
+from refdgs_pipe.training.settings import TrainParams
+from refdgs_pipe.training.surfels import raw_diffuse_of
+
+SURFACE_OPACITY = 0.5  # of discs on a surface that is known
+BALL_OPACITY = 0.1
+BACKGROUND_OPACITY = 0.1
+SKY_OPACITY = 0.9
+BALL_MARGIN = 1.1  # object surfels may stray this far, in ball radii
+SH_0 = 0.28209479177387814  # the constant real spherical harmonic
+
+
+@dataclass(frozen=True)
+class Given:
+    """What the start is made from.
+
+    Args:
+        photos: on the CPU; those with masks start in their hull.
+        agreed: what photos without masks agree on, if that is what they start from.
+        restored: the surfels are about to be replaced by those of a checkpoint.
+        progress: told the steps done and their number; may raise.
+    """
+
+    params: TrainParams
+    model: SparseModel
+    photos: list[TrainingPhoto]
+    around: Surroundings
+    agreed: initial.Cloud | None
+    restored: bool
+    progress: Callable[[int, int], None] | None
+
+
+def starting_geometry(given: Given, rng: np.random.Generator) -> tuple[dict[str, Tensor], bool]:
+    """The object's surfels, and whether they are faint: spread where there may be nothing."""
+    p = given.params
+    cloud, opacity = _geometry_cloud(given, rng)
+    faint = opacity < SURFACE_OPACITY
+    raw = initial.raw_discs(cloud, opacity)
+    n = len(cloud.points)
+    if given.agreed is None:
+        raw["raw_diffuse"] = torch.full((n, 3), -p.diffuse_bias if p.reflection else 0.0)
+    else:
+        linear = linear_from_srgb(cloud.colors.astype(np.float32))
+        raw["raw_diffuse"] = raw_diffuse_of(torch.from_numpy(linear))
+    raw["raw_roughness"] = torch.zeros(n)
+    if p.reflection and p.local == "shared":
+        raw["features"] = torch.zeros(n, 4)
+    return raw, faint
+
+
+def starting_background(given: Given, rng: np.random.Generator) -> dict[str, Tensor]:
+    """A sky, and what is known to lie outside of the object."""
+    model, around = given.model, given.around
+    cameras = [photo.camera for photo in given.photos]
+    mean = torch.stack([photo.rgb.float().mean((1, 2)) for photo in given.photos]).mean(0) / 255
+    cloud = initial.sky_cloud(model.ball, cameras, mean.double().numpy())
+    opacity = BACKGROUND_OPACITY
+    if given.agreed is not None:
+        own = around.objects(torch.from_numpy(given.agreed.points)).numpy()
+        cloud = initial.joined(cloud, initial.chosen(given.agreed, ~own))
+        opacity = SURFACE_OPACITY
+    else:
+        outside = ~around.objects(torch.from_numpy(model.points)).numpy()
+        if outside.any():
+            points, colors = model.points[outside], model.point_colors[outside]
+            cloud = initial.joined(cloud, initial.sparse_cloud(points, colors, cameras, rng))
+    raw = initial.raw_discs(cloud, opacity)
+    raw["raw_opacities"][: initial.SKY_SURFELS] = math.log(SKY_OPACITY / (1 - SKY_OPACITY))
+    sh = torch.zeros(len(cloud.points), 12)
+    sh[:, :3] = (torch.tensor(cloud.colors, dtype=torch.float32) - 0.5) / SH_0
+    raw["sh"] = sh
+    return raw
+
+
+def _geometry_cloud(given: Given, rng: np.random.Generator) -> tuple[initial.Cloud, float]:
+    """Where the object's surfels start, and how opaque they are."""
+    p, model, around, photos = given.params, given.model, given.around, given.photos
+    if given.agreed is not None:
+        own = around.objects(torch.from_numpy(given.agreed.points)).numpy()
+        return initial.chosen(given.agreed, own), SURFACE_OPACITY
+    if p.start != "ball" and all(photo.mask is not None for photo in photos):
+        hull = initial.hull_cloud(p, model, photos, rng, given.restored, given.progress)
+        if hull is not None:
+            return hull, p.start_opacity if p.start == "volume" else SURFACE_OPACITY
+    cloud = initial.ball_cloud(model.ball, p.surfels, rng)
+    cloud = initial.chosen(cloud, around.above(torch.from_numpy(cloud.points)).numpy())
+    inside = around.objects(torch.from_numpy(model.points), BALL_MARGIN).numpy()
+    if inside.any():
+        points, colors = model.points[inside], model.point_colors[inside]
+        sparse = initial.sparse_cloud(points, colors, [photo.camera for photo in photos], rng)
+        cloud = initial.joined(cloud, sparse)
+    return cloud, BALL_OPACITY

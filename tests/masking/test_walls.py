@@ -1,0 +1,103 @@
+"""Flat mirrors on a printed plane are told by its mirror image, and nothing else is."""
+
+import cv2
+import numpy as np
+import pytest
+
+from refdgs_pipe.masking.table import Ground, Table
+from refdgs_pipe.masking.walls import Wall, footprint, mirror_walls
+
+CELLS, REACH, PHOTOS = 256, 2.2, 24
+HALF = np.array([0.45, 0.3])  # of the box, along its own axes
+TURN = np.radians(20)
+AXES = np.array([[np.cos(TURN), np.sin(TURN)], [-np.sin(TURN), np.cos(TURN)]])
+
+
+def places() -> np.ndarray:
+    """(n, n, 2) of the plane's cells."""
+    y, x = ((np.mgrid[0:CELLS, 0:CELLS] + 0.5) / CELLS * 2 - 1) * REACH
+    return np.stack([x, y], -1)
+
+
+def printed(at: np.ndarray, kind: str) -> np.ndarray:
+    """Log brightness of a plane at (..., 2)."""
+    if kind == "stripes":
+        return np.asarray(0.3 * np.sign(np.sin(40 * at[..., 0])))
+    if kind == "squares":
+        return np.asarray(0.3 * np.sign(np.sin(25 * at[..., 0]) * np.sin(25 * at[..., 1])))
+    blots = np.random.default_rng(1).normal(0, 0.3, (160, 160)).astype(np.float32)
+    index = ((at / REACH / 2 + 0.5) * 160).astype(np.float32)
+    return cv2.remap(blots, index[..., 0], index[..., 1], cv2.INTER_CUBIC)
+
+
+def table() -> Table:
+    axes = np.eye(3)
+    return Table(Ground(np.zeros(3), axes[0], axes[1], REACH), CELLS, PHOTOS)
+
+
+def capture(mirror: bool, kind: str = "blots") -> tuple[np.ndarray, np.ndarray]:
+    """(N, n, n, 3) the plane as photos show it, and (N, 3) cameras round a box on it.
+
+    What lies behind the box's walls is hidden, or shows their mirror image.
+    """
+    at = places()
+    truth = printed(at, kind)
+    own = at @ AXES.T
+    inside = (np.abs(own) < HALF).all(-1)
+    seen, centers = [], []
+    for i in range(PHOTOS):
+        angle = 2 * np.pi * (i + 0.3) / PHOTOS
+        towards = np.array([np.cos(angle), np.sin(angle)])
+        facing = AXES @ towards
+        behind = np.zeros(inside.shape, bool)  # of the box, as seen from here
+        for step in np.linspace(0, 0.5, 40):
+            behind |= (np.abs((at + step * towards) @ AXES.T) < HALF).all(-1)
+        picture = np.where(behind & ~inside, np.random.default_rng(i).normal(), truth)
+        axis = int(np.argmax(np.abs(facing) / HALF[::-1]))
+        flipped = own.copy()
+        flipped[..., axis] = 2 * np.sign(facing[axis]) * HALF[axis] - own[..., axis]
+        image = printed(flipped @ AXES, kind) - 0.2
+        shown = image if mirror else np.random.default_rng(i).normal(0, 0.3, truth.shape)
+        picture = np.where(inside, shown, picture)
+        seen.append(np.repeat(picture[..., None], 3, -1))
+        centers.append([*(3 * towards), 1.5])
+    return np.stack(seen).astype(np.float32), np.array(centers)
+
+
+def test_the_four_walls_of_a_mirror_box_are_found() -> None:
+    seen, centers = capture(mirror=True)
+    walls = mirror_walls(table(), seen, centers, 1.0)
+    sides = set()
+    for wall in walls:
+        own = AXES @ wall.outward
+        axis = int(np.abs(own).argmax())
+        assert abs(own[axis]) > np.cos(np.radians(4))
+        place = (AXES @ wall.middle)[axis] * np.sign(own[axis])
+        assert place == pytest.approx(HALF[axis], abs=2 * 2 * REACH / CELLS)
+        sides.add((axis, bool(own[axis] > 0)))
+    assert len(sides) == 4
+    covered = footprint(walls, table())
+    inside = (np.abs(places() @ AXES.T) < HALF).all(-1)
+    assert (covered & inside).sum() > 0.7 * inside.sum()
+    assert (covered & ~inside).sum() < 0.08 * inside.sum()
+
+
+@pytest.mark.parametrize("kind", ["blots", "stripes", "squares"])
+def test_an_object_that_mirrors_nothing_has_no_walls(kind: str) -> None:
+    seen, centers = capture(mirror=False, kind=kind)
+    assert mirror_walls(table(), seen, centers, 1.0) == []
+
+
+def test_photos_from_too_few_places_tell_of_no_walls() -> None:
+    seen, centers = capture(mirror=True)
+    assert mirror_walls(table(), seen[::12], centers[::12], 1.0) == []
+
+
+def test_what_stands_before_another_wall_is_not_covered() -> None:
+    def wall(x: float, outward: float) -> Wall:
+        return Wall(np.array([x, 0.0]), np.array([outward, 0.0]), (-0.5, 0.5), 0.6, 0.9, 0.9)
+
+    covered = footprint([wall(0.2, 1), wall(-0.2, -1)], table())
+    x = places()[..., 0]
+    assert covered.any()
+    assert np.abs(x[covered]).max() < 0.21
