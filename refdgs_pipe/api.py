@@ -137,7 +137,8 @@ def load_cameras(
     Raises:
         InputError: it is not a workspace, or training has no current result.
     """
-    model = _load(workspace, SparseModel).placed(_load(workspace, SurfelField).poses)
+    field = _load(workspace, SurfelField)
+    model = _load(workspace, SparseModel).placed(field.poses, field.ball)
     return [camera for camera in model.cameras if split in ("all", camera.split)]
 
 

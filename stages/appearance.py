@@ -29,7 +29,7 @@ def appearance(
     from refdgs_pipe.training.environment import typical_light
     from refdgs_pipe.training.render import render_surface_map
 
-    views, model = masks.applied(views, model.names), model.placed(field.poses)
+    views, model = masks.applied(views, model.names), model.placed(field.poses, field.ball)
     tolerance = params.tolerance * 2 * model.ball.radius
     if not field.shader.reflection:
         return matte(mesh, lift=tolerance / 2)

@@ -40,7 +40,8 @@ def bake(
     from refdgs_pipe.texture.refining import refined
     from refdgs_pipe.training.render import render_surface_map
 
-    model, tolerance = model.placed(field.poses), params.tolerance * 2 * model.ball.radius
+    model = model.placed(field.poses, field.ball)
+    tolerance = params.tolerance * 2 * model.ball.radius
     painter = Painter(mesh, params.size, tolerance=tolerance)
     for camera in job.track(model.cameras, "gathering texels"):
         painter.add(render_surface_map(field, camera, device=job.device, threads=job.threads))

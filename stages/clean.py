@@ -35,7 +35,7 @@ def clean(
     from refdgs_pipe.surface.registration import fitted
     from refdgs_pipe.training import ground, render
 
-    model = model.placed(field.poses)
+    model = model.placed(field.poses, field.ball)
     diameter = 2 * model.ball.radius
     job.progress("cleaning", 0, None)
     under = support.find_support(raw, model.up, diameter) if params.keep == "object" else None

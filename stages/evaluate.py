@@ -41,7 +41,8 @@ def evaluate(
     lpips = load_lpips(params.lpips_weights, params.lpips_digest)
     protocol = Protocol(params.max_side, lpips, lambda c: job.track(c, "comparing views"))
     views = masks.applied(views, model.names)
-    subject = Subject(views, model.placed(field.poses), mesh, capture.layout().root, textured)
+    model = model.placed(field.poses, field.ball)
+    subject = Subject(views, model, mesh, capture.layout().root, textured)
     scores = score(subject, Drawing(picture, maps, relit(textured, looks)), protocol)
     for name, value, unit in scores.headlines():
         job.measure(name, value, unit)

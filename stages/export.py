@@ -47,7 +47,8 @@ def export(
     turned = partial(product, up=model.up, metres_per_unit=scale, about=about)
     done, frame = turned(textured), AssetFrame.of(model.up, scale)
     light = latlong_light(frame, looks.environment, params.environment)
-    around = files.Surroundings(frame, light, model.placed(field.poses).cameras, field.geometry)
+    cameras = model.placed(field.poses).cameras
+    around = files.Surroundings(frame, light, cameras, field.geometry)
     for write in job.track(files.writers(around, preview=params.preview), "writing files"):
         write(job.folder, done)
     for number, level in enumerate(levels(textured, params.lods, stop=job.stop), 1):

@@ -35,7 +35,7 @@ def extract(field: SurfelField, model: SparseModel, params: ExtractParams, job: 
     from refdgs_pipe.surface.tsdf import Volume
     from refdgs_pipe.training.render import render_surface_map
 
-    model = model.placed(field.poses)
+    model = model.placed(field.poses, field.ball)
     volume = Volume(model.ball, voxel=params.voxel, band=params.band, min_alpha=params.min_alpha)
     for camera in job.track(model.cameras, "fusing depth"):
         small = camera.fitted(params.pixels)

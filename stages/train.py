@@ -1,5 +1,6 @@
 """Fit a Ref-DGS field to the photos."""
 
+from dataclasses import replace
 from functools import partial
 
 from refdgs_pipe.artifacts.masks import Masks
@@ -18,6 +19,7 @@ def train(
     """Optimise geometry, local reflection and background surfels and the shader."""
     import torch
 
+    from refdgs_pipe.sfm.ball import masked_ball
     from refdgs_pipe.surface.own import own_surface
     from refdgs_pipe.training.budget import Load, planned, train_within
     from refdgs_pipe.training.coverage import doubt
@@ -29,6 +31,8 @@ def train(
         return own_surface(model.placed(field.poses), draw, track=job.track, stop=job.stop)
 
     views = masks.applied(views, model.names)
+    if masks.names:  # the ball of photos without masks is a guess
+        model = replace(model, ball=masked_ball(model.cameras, views, model.ball))
 
     def tell(step: int, steps: int, now: Figures, work: float) -> None:
         job.sample(step, steps, loss=now.loss, psnr=now.psnr, surfels=now.surfels)

@@ -78,13 +78,17 @@ class SparseModel:
         """Those that are not held out; all of them where every one is."""
         return [c for c in self.cameras if c.split == "train"] or list(self.cameras)
 
-    def placed(self, poses: Mapping[str, F64]) -> Self:
-        """The model with other poses: camera's name -> (4, 4) cam_from_world; the rest stays."""
+    def placed(self, poses: Mapping[str, F64], ball: Ball | None = None) -> Self:
+        """The model with other poses: camera's name -> (4, 4) cam_from_world; the rest stays.
+
+        Args:
+            ball: another one, if it is known better.
+        """
         cameras = (
             replace(camera, cam_from_world=poses.get(camera.name, camera.cam_from_world))
             for camera in self.cameras
         )
-        return replace(self, cameras=tuple(cameras))
+        return replace(self, cameras=tuple(cameras), ball=self.ball if ball is None else ball)
 
     def save(self, folder: Path) -> None:
         """Write a COLMAP model of the undistorted cameras to sparse/0, the rest to model.json."""

@@ -4,11 +4,12 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from refdgs_pipe.artifacts.sparse_model import Ball
 from refdgs_pipe.errors import CorruptError
 
 F32 = NDArray[np.float32]
@@ -69,6 +70,7 @@ class SurfelField:
         near: depth before which nothing is drawn, world units.
         poses: camera's name -> (4, 4) cam_from_world that it was trained with, where that is not
             the sparse model's; see `SparseModel.placed`.
+        ball: that it was trained in; None, if that is the sparse model's.
     """
 
     geometry: SurfelSet
@@ -77,6 +79,7 @@ class SurfelField:
     shader: ShaderModel
     near: float
     poses: Mapping[str, F64] = field(default_factory=dict)
+    ball: Ball | None = None
 
     def save(self, folder: Path) -> None:
         from safetensors.numpy import save_file
@@ -99,6 +102,8 @@ class SurfelField:
             "layers": len(self.shader.weights),
             "poses": {name: pose.tolist() for name, pose in self.poses.items()},
         }
+        if self.ball is not None:
+            record["ball"] = {"center": self.ball.center.tolist(), "radius": self.ball.radius}
         (folder / "field.json").write_text(json.dumps(record, indent=2), "utf-8")
 
     @classmethod
@@ -128,7 +133,8 @@ class SurfelField:
                 _set(arrays, name) for name in ("geometry", "local", "background")
             )
             poses = {name: _pose(rows) for name, rows in record.get("poses", {}).items()}
-            return cls(geometry, local, background, shader, float(record["near"]), poses)
+            ball = _ball(record["ball"]) if "ball" in record else None
+            return cls(geometry, local, background, shader, float(record["near"]), poses, ball)
         except (OSError, KeyError, ValueError, SafetensorError) as error:
             raise CorruptError(
                 f"{folder}: not a readable surfel field ({error}): run the train stage again"
@@ -136,6 +142,13 @@ class SurfelField:
 
     def _sets(self) -> dict[str, SurfelSet]:
         return {"geometry": self.geometry, "local": self.local, "background": self.background}
+
+
+def _ball(record: dict[str, Any]) -> Ball:
+    center, radius = np.array(record["center"], np.float64), float(record["radius"])
+    if center.shape != (3,) or not (np.isfinite(center).all() and 0 < radius < np.inf):
+        raise ValueError("the ball is no ball")
+    return Ball(center, radius)
 
 
 def _pose(rows: list[list[float]]) -> F64:

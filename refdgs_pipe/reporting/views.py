@@ -53,7 +53,7 @@ def comparisons(facts: Facts, drawing: Drawing) -> Html:
 
     relit = _relit(facts)
     field = facts.load(SurfelField)
-    model = facts.load(SparseModel).placed(field.poses)
+    model = facts.load(SparseModel).placed(field.poses, field.ball)
     views = facts.load(Views)
     if facts.result(Masks) is not None:
         views = facts.load(Masks).applied(views, model.names)
@@ -130,7 +130,7 @@ def maps(facts: Facts, drawing: Drawing) -> Html:
     from refdgs_pipe.training.render import render_surface_map
 
     field = facts.load(SurfelField)
-    model = facts.load(SparseModel).placed(field.poses)
+    model = facts.load(SparseModel).placed(field.poses, field.ball)
     rows = []
     for camera in chosen_cameras(facts, model, _MAPPED):
         sized = camera.fitted(_LONGEST)

@@ -35,6 +35,11 @@ def object_ball(cameras: tuple[Camera, ...], views: Views) -> Ball:
             "wrongly (take more of them, overlapping, with textured surroundings) or they look "
             "outwards (walk around the object and keep it in the middle)"
         )
+    return masked_ball(cameras, views, guess)
+
+
+def masked_ball(cameras: tuple[Camera, ...], views: Views, guess: Ball) -> Ball:
+    """The ball around the visual hull of the views' masks; the guess, where they show none."""
     masked = tuple(camera for camera in cameras if views[camera.name].mask is not None)
     if len(masked) < 3:
         return guess

@@ -105,6 +105,7 @@ class Trainer:
         torch.manual_seed(params.seed)
         self.masked = views.background != "photo"
         agreed, seen = self._start(photos, starting)
+        self.stereo = agreed is not None
         photos = seen.limited if seen.background is not None else photos
         self.field = TrainableField(
             params,
@@ -197,7 +198,7 @@ class Trainer:
             self.refused = "the run ended before (train.renew_at)"
         if self.refused and self.warn is not None:
             self.warn(f"surfels did not start anew, and normals are as they were: {self.refused}")
-        return self.field.freeze()
+        return replace(self.field.freeze(), ball=self.model.ball)
 
     @property
     def position(self) -> int:
@@ -227,7 +228,9 @@ class Trainer:
     def figures(self, field: SurfelField) -> list[tuple[str, float | int | str, str]]:
         """What to tell of a run that is through: name, value, unit."""
         early = [("stopped early", self.early, "")] if self.early else []
+        side = [("start", "what neighbouring photos agree on", "")] if self.stereo else []
         return [
+            *side,
             ("steps", self.iteration, ""),
             *early,
             ("loss", round(self.loss, 5), ""),

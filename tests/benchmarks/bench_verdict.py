@@ -108,7 +108,7 @@ def figures_of(case: Case, folder: Path) -> dict[str, Any]:
 
     field, views = load(SurfelField), load(Views)
     textured = load(TexturedMesh) if TexturedMesh in folders else None  # some stop at the mesh
-    model = load(SparseModel).placed(field.poses)
+    model = load(SparseModel).placed(field.poses, field.ball)
     drawing = Drawing(
         partial(render_image, field, threads=1),
         partial(render_surface_map, field, threads=1),

@@ -133,6 +133,18 @@ def test_a_ball_grows_only_where_solid_points_crowd_its_rim() -> None:
     assert 0.39 < small.radius < 0.45
 
 
+def test_photos_from_one_side_have_a_ball_that_holds_what_lies_near_it() -> None:
+    rng = np.random.default_rng(0)
+    wide = TARGET + rng.normal(size=(400, 3)) * (0.3, 0.3, 0.02)
+    assert grown_ball(Ball(TARGET, 0.5), wide).radius == 0.5
+    held = grown_ball(Ball(TARGET, 0.5), wide, one_sided=True)
+    assert 0.6 < held.radius <= 0.8
+    inside = np.linalg.norm(wide - held.center, axis=1) < held.radius
+    assert inside.mean() > 0.9
+    few = grown_ball(Ball(TARGET, 0.5), wide[:50], one_sided=True)
+    assert few.radius == 0.5
+
+
 def test_the_enclosing_ball_is_nearly_the_smallest() -> None:
     cube = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1]), float).reshape(3, -1).T + 5
     ball = enclosing_ball(cube)
