@@ -13,7 +13,6 @@ from refdgs_pipe.training.ground import Surroundings
 from refdgs_pipe.training.initial import Cloud, neighbour_sizes
 from refdgs_pipe.training.photos import TrainingPhoto
 from refdgs_pipe.training.settings import TrainParams
-from refdgs_pipe.training.stereo import agreed_surface, thinned
 
 Progress = Callable[[int, int], None]
 
@@ -60,6 +59,8 @@ def _keep(
     progress: Progress | None,
 ) -> None:
     """Compare the photos, and write what was found; no points, if that is too little."""
+    from refdgs_pipe.training.stereo import agreed_surface, thinned
+
     found = agreed_surface(model, photos, torch.get_num_threads(), progress)
     around = Surroundings(model, ground=params.ground == "background")
     own = around.objects(torch.from_numpy(found.points)).numpy()

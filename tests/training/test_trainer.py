@@ -1,5 +1,6 @@
 """Training: it learns, it resumes, its parts keep their laws."""
 
+import json
 import math
 from dataclasses import replace
 from importlib import import_module
@@ -8,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from finished import field
 from PIL import Image
 from scenes import glossy_pair, orbit
 from stage_runs import NO_MASKS
@@ -215,6 +217,23 @@ def test_without_training_views_the_error_says_so(tmp_path: Path) -> None:
 
 def test_a_damaged_field_is_named_as_such(tmp_path: Path) -> None:
     (tmp_path / "field.json").write_text("{}")
+    with pytest.raises(CorruptError, match="not a readable surfel field"):
+        SurfelField.load(tmp_path)
+
+
+def test_a_field_keeps_the_ball_that_it_was_trained_in(tmp_path: Path) -> None:
+    ball = Ball(np.array([0.1, 0.2, 0.3]), 0.6)
+    replace(field(), ball=ball).save(tmp_path)
+    found = SurfelField.load(tmp_path).ball
+    assert found is not None
+    np.testing.assert_array_equal(found.center, ball.center)
+    assert found.radius == 0.6
+    model = model_of([], np.zeros((0, 3)))
+    assert model.placed({}, found).ball is found
+    assert model.placed({}).ball is model.ball
+    record = json.loads((tmp_path / "field.json").read_text())
+    record["ball"]["radius"] = -1
+    (tmp_path / "field.json").write_text(json.dumps(record))
     with pytest.raises(CorruptError, match="not a readable surfel field"):
         SurfelField.load(tmp_path)
 
