@@ -24,7 +24,15 @@ from refdgs_pipe.masking.shots import (
     whole_shots,
 )
 from refdgs_pipe.masking.solid import agreed, grid, pixels_of, silhouette
-from refdgs_pipe.masking.table import Evidence, Ground, Table, shown_plane, smooth
+from refdgs_pipe.masking.table import (
+    BLUR,
+    Blur,
+    Evidence,
+    Ground,
+    Table,
+    shown_plane,
+    smooth,
+)
 from refdgs_pipe.masking.walls import Wall, footprint, mirror_walls
 
 
@@ -39,6 +47,7 @@ class Level:
         denials: for each round the share of the photos that may deny a cell.
         margin: round the object that photos are cut to, a share of its size.
         growth: cells by which a mask is widened before it denies.
+        blur: of the evidence of the plane.
     """
 
     side: int
@@ -47,13 +56,14 @@ class Level:
     denials: tuple[float, ...]
     margin: float
     growth: float
+    blur: Blur = BLUR
 
 
 LEVELS = (
     Level(200, 256, 64, (0.25, 0.15), 0.0, 0.9),
     Level(400, 384, 96, (0.08, 0.06), 0.5, 0.9),
 )
-LAST = Level(1024, 512, 112, (0.06, 0.04), 0.2, 0.5)
+LAST = Level(1024, 512, 112, (0.06, 0.04), 0.2, 0.5, (0.7, 1.3))
 TELLING = 0.6  # evidence below which the room cannot tell whether a cell is empty
 SURE = 4.0  # evidence against what cannot be the object
 WIDE = 2.2  # radii of the ball that the plane's picture reaches at first
@@ -230,7 +240,7 @@ class _Worker:
         inner = [grown(o, -band) for o, band in zip(outlines, self.band, strict=True)]
         clear = [~grown(o, 2 * band) for o, band in zip(outlines, self.band, strict=True)]
         table = self.table.found(self.shots, inner)
-        planes = shown_plane(table, self.shots, clear, seldom=SELDOM)
+        planes = shown_plane(table, self.shots, clear, seldom=SELDOM, blur=self.level.blur)
         if found.room is None:
             return planes
         rooms = self._parts([room.value for room in found.room])

@@ -28,6 +28,9 @@ MISSES = 0.12  # share of the plane's own pixels that may be taken for something
 MOST_MISSED = 1.6  # of evidence, that the misses may take
 TYPICAL = 1.5  # evidence of the plane's own pixels, at least
 LEAST_PIXELS = 500
+Blur = tuple[float, float]
+"""Pixels (sigma) over which likeness of colour and of texture are averaged."""
+BLUR: Blur = (1.3, 1.8)
 
 
 @dataclass(frozen=True)
@@ -198,7 +201,12 @@ class Table:
 
 
 def shown_plane(
-    table: Table, shots: list[Shot], reference: list[Bools] | None, *, seldom: tuple[float, float]
+    table: Table,
+    shots: list[Shot],
+    reference: list[Bools] | None,
+    *,
+    seldom: tuple[float, float],
+    blur: Blur = BLUR,
 ) -> list[Evidence]:
     """The evidence of all photos, so that the plane's own pixels count as seen.
 
@@ -208,10 +216,11 @@ def shown_plane(
     Args:
         reference: (H, W) where each photo shows no object for sure; None takes everything.
         seldom: share of the photos that agree on a place: from nothing known to fully known.
+        blur: the less, the nearer to the object's edge, and the noisier.
     """
 
     def judge(i: int) -> tuple[F32, F32, F32]:
-        return _judged(shots[i], *table.drawn(i, shots[i]))
+        return _judged(shots[i], *table.drawn(i, shots[i]), blur)
 
     judged = mapped(judge, range(len(shots)), table.threads)
     low, high = seldom
@@ -240,13 +249,15 @@ def shown_plane(
     return out
 
 
-def _judged(shot: Shot, picture: F32, share: F32) -> tuple[F32, F32, F32]:
+def _judged(shot: Shot, picture: F32, share: F32, blur: Blur) -> tuple[F32, F32, F32]:
     """Evidence, texture and share (H, W) of one photo."""
     share = np.where(np.isfinite(picture[..., 0]), share, 0).astype(np.float32)
     picture = np.nan_to_num(picture)
     likeness = alike(shot.logs, picture)
-    agree, texture = same_texture(shot.logs.mean(-1), picture.mean(-1))
-    value = 3.5 * (smooth(likeness, 1.3) - 0.45) + 3 * texture * np.clip(agree - 0.35, -0.6, 0.6)
+    agree, texture = same_texture(shot.logs.mean(-1), picture.mean(-1), blur[1])
+    value = 3.5 * (smooth(likeness, blur[0]) - 0.45) + 3 * texture * np.clip(
+        agree - 0.35, -0.6, 0.6
+    )
     return value.astype(np.float32), texture, share
 
 
@@ -260,12 +271,12 @@ def alike(logs: F32, picture: F32) -> F32:
     return np.asarray(np.exp(-0.5 * (miss / SPREAD) ** 2), np.float32)
 
 
-def same_texture(one: F32, other: F32) -> tuple[F32, F32]:
+def same_texture(one: F32, other: F32, sigma: float) -> tuple[F32, F32]:
     """(H, W) normalised correlation over a few pixels, and 0 to 1 how textured `other` is."""
-    m1, m2 = smooth(one, 1.8), smooth(other, 1.8)
-    v1 = smooth(one * one, 1.8) - m1 * m1
-    v2 = smooth(other * other, 1.8) - m2 * m2
-    both = smooth(one * other, 1.8) - m1 * m2
+    m1, m2 = smooth(one, sigma), smooth(other, sigma)
+    v1 = smooth(one * one, sigma) - m1 * m1
+    v2 = smooth(other * other, sigma) - m2 * m2
+    both = smooth(one * other, sigma) - m1 * m2
     agree = both / np.sqrt(np.maximum(v1, 1e-4) * np.maximum(v2, 1e-4))
     texture = np.clip(np.sqrt(np.maximum(v2, 0)) / TEXTURE, 0, 1)
     return agree.astype(np.float32), texture.astype(np.float32)

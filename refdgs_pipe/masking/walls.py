@@ -26,6 +26,7 @@ COARSE = 0.07  # ball radii: wider patterns are left out of what is compared
 FAINT = 0.03  # contrast of log brightness that tells nothing
 PLAIN = 0.01  # squared, of mixed second differences of log brightness that tell nothing
 ALIKE, BETTER = 0.6, 0.4  # correlation of a mirror image; more than with what other photos see
+ALONE = 0.75  # correlation of a mirror without another at a right angle or back to back
 SQUARE_ALIKE, SQUARE_BETTER = 0.4, 0.3  # the same beside a mirror at a right angle
 SQUARE = 0.08  # cosine or sine of the angle between mirrors that counts as right
 ON = 0.35  # correlation at which a mirror goes on, sideways and in depth
@@ -91,6 +92,7 @@ def mirror_walls(table: Table, seen: F32, centers: F64, radius: float) -> list[W
         if not any(_same(wall, other, APART * radius) for other in walls):
             walls.append(wall)
     sure = [wall for wall in walls if wall.likeness >= ALIKE and wall.gain >= BETTER]
+    sure = [w for w in sure if w.likeness >= ALONE or any(_square(w, other) for other in sure)]
     kept = [w for w in walls if w in sure or any(_square(w, other) for other in sure)]
     return [_met(wall, kept, LONG * radius) for wall in kept]
 
