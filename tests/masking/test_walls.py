@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
+from refdgs_pipe.masking import walls as walls_module
 from refdgs_pipe.masking.table import Ground, Table
 from refdgs_pipe.masking.walls import Wall, footprint, mirror_walls
 
@@ -101,3 +102,32 @@ def test_what_stands_before_another_wall_is_not_covered() -> None:
     x = places()[..., 0]
     assert covered.any()
     assert np.abs(x[covered]).max() < 0.21
+
+
+@pytest.mark.parametrize(
+    "likenesses, kept",
+    [
+        ({0: 0.65}, []),  # a patch of print can look like the mirror image of another
+        ({0: 0.8}, [0]),
+        ({0: 0.65, 90: 0.65}, [0, 90]),
+        ({0: 0.65, 45: 0.65}, []),
+        ({0: 0.65, 180: 0.65, 90: 0.45, 30: 0.45}, [0, 90, 180]),
+    ],
+)
+def test_a_weak_likeness_counts_only_beside_another_mirror(
+    likenesses: dict[int, float], kept: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def lines(pictures: object, turn: float, *_: object) -> list[Wall]:
+        if turn % 360 not in likenesses:
+            return []
+        outward = np.array([np.cos(np.radians(turn)), np.sin(np.radians(turn))])
+        value = likenesses[int(turn % 360)]
+        return [Wall(0.4 * outward, outward, (-0.2, 0.2), 0.2, value, value)]
+
+    monkeypatch.setattr(walls_module, "_lines", lines)
+    seen = np.zeros((PHOTOS, CELLS, CELLS, 3), np.float32)
+    turns = 2 * np.pi * np.arange(PHOTOS) / PHOTOS
+    centers = np.stack([3 * np.cos(turns), 3 * np.sin(turns), np.ones(PHOTOS)], -1)
+    found = mirror_walls(table(), seen, centers, 1.0)
+    degrees = [np.degrees(np.arctan2(w.outward[1], w.outward[0])) % 360 for w in found]
+    assert sorted(round(d) for d in degrees) == kept
