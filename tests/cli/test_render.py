@@ -19,7 +19,7 @@ CAMERAS = orbit(6, size=32, focal=45.0)
 def model() -> Any:
     ball = SimpleNamespace(center=np.zeros(3), radius=1.2)
     found = SimpleNamespace(cameras=CAMERAS, ball=ball, up=np.array([0.0, 0.0, 1.0]), poses={})
-    found.placed = lambda poses: found
+    found.placed = lambda poses, ball: found
     return found
 
 
