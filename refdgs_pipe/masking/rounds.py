@@ -183,8 +183,8 @@ class _Worker:
         self.band = [max(2, round(BAND * max(shot.whole))) for shot in self.shots]
         reach = WIDE * model.ball.radius if found is None else NARROW * found.reach
         ground = Ground.under(self.ball, self.normal, offset, reach)
-        self.table = Table(ground, level.cells, len(self.shots), threads)
-        self.table.covered = footprint(walls, self.table)
+        covered = footprint(walls, ground, level.cells)
+        self.table = Table(ground, level.cells, len(self.shots), threads, covered)
         within = found.ball if found is not None and level is LAST else self.ball
         self.cells = grid(within, self.normal, offset, level.solid)
 

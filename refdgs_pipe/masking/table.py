@@ -82,11 +82,17 @@ class Table:
 
     Args:
         cells: along an edge of the picture; count: of the photos.
-
-    `covered`: (cells, cells) where the object stands for sure, as far as that is known.
+        covered: (cells, cells) where the object stands for sure; None if nothing is known of that.
     """
 
-    def __init__(self, ground: Ground, cells: int, count: int, threads: int = 1) -> None:
+    def __init__(
+        self,
+        ground: Ground,
+        cells: int,
+        count: int,
+        threads: int = 1,
+        covered: Bools | None = None,
+    ) -> None:
         self.ground, self.cells, self.threads = ground, cells, threads
         place = (np.mgrid[0:cells, 0:cells] + 0.5) / cells * 2 - 1
         y, x = place * ground.radius
@@ -95,7 +101,7 @@ class Table:
         self.gains = np.zeros((count, 6), np.float32)
         self.colour = np.zeros((cells, cells, 3), np.float32)
         self.share = np.zeros((cells, cells), np.float32)
-        self.covered: Bools = np.zeros((cells, cells), bool)
+        self.covered = np.zeros((cells, cells), bool) if covered is None else covered
 
     def found(self, shots: list[Shot], hidden: list[Bools] | None = None) -> "Table":
         """Find the picture.

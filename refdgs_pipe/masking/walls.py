@@ -14,7 +14,7 @@ import torch
 
 from refdgs_pipe.camera import F64
 from refdgs_pipe.masking.shots import F32, Bools
-from refdgs_pipe.masking.table import Table
+from refdgs_pipe.masking.table import Ground, Table
 
 TURN_DEG = 1.5  # between the directions of lines that are tried
 SECTOR_DEG = 30.0  # between the directions from which pictures of the plane are made
@@ -97,10 +97,9 @@ def mirror_walls(table: Table, seen: F32, centers: F64, radius: float) -> list[W
     return [_met(wall, kept, LONG * radius) for wall in kept]
 
 
-def footprint(walls: list[Wall], table: Table) -> Bools:
+def footprint(walls: list[Wall], ground: Ground, n: int) -> Bools:
     """(n, n) cells of the plane's picture that lie behind mirrors, where nobody sees the plane."""
-    n, radius = table.cells, table.ground.radius
-    y, x = ((np.mgrid[0:n, 0:n] + 0.5) / n * 2 - 1) * radius
+    y, x = ((np.mgrid[0:n, 0:n] + 0.5) / n * 2 - 1) * ground.radius
     behind, before = np.zeros((n, n), bool), np.zeros((n, n), bool)
     for wall in walls:
         out = (x - wall.middle[0]) * wall.outward[0] + (y - wall.middle[1]) * wall.outward[1]

@@ -42,15 +42,13 @@ class Surface:
     Args:
         points: (N, 3) world; normals: (N, 3) unit, towards the photo.
         colors: (N, 3) sRGB in [0, 1].
-        seen: (H, W) bool for each photo, the pixels that the points come from.
-        photos: as small as they were compared.
+        seen: (H, W) bool for each photo, as small as it was compared: where its points come from.
     """
 
     points: F64
     normals: F64
     colors: F64
     seen: list[Bools]
-    photos: list[TrainingPhoto]
 
 
 @dataclass(frozen=True)
@@ -105,7 +103,7 @@ def agreed_surface(
         parts.append((places[good], _normals(places, sight.camera)[good], color))
         seen.append(good)
     points, normals, colors = (np.concatenate([part[k] for part in parts]) for k in range(3))
-    return Surface(points, normals, colors, seen, small)
+    return Surface(points, normals, colors, seen)
 
 
 def thinned(surface: Surface, which: Bools, count: int) -> tuple[F64, F64, F64]:

@@ -77,7 +77,7 @@ def test_the_four_walls_of_a_mirror_box_are_found() -> None:
         assert place == pytest.approx(HALF[axis], abs=2 * 2 * REACH / CELLS)
         sides.add((axis, bool(own[axis] > 0)))
     assert len(sides) == 4
-    covered = footprint(walls, table())
+    covered = footprint(walls, table().ground, CELLS)
     inside = (np.abs(places() @ AXES.T) < HALF).all(-1)
     assert (covered & inside).sum() > 0.7 * inside.sum()
     assert (covered & ~inside).sum() < 0.08 * inside.sum()
@@ -98,7 +98,7 @@ def test_what_stands_before_another_wall_is_not_covered() -> None:
     def wall(x: float, outward: float) -> Wall:
         return Wall(np.array([x, 0.0]), np.array([outward, 0.0]), (-0.5, 0.5), 0.6, 0.9, 0.9)
 
-    covered = footprint([wall(0.2, 1), wall(-0.2, -1)], table())
+    covered = footprint([wall(0.2, 1), wall(-0.2, -1)], table().ground, CELLS)
     x = places()[..., 0]
     assert covered.any()
     assert np.abs(x[covered]).max() < 0.21
