@@ -20,10 +20,11 @@ from refdgs_pipe.sfm import mapping
 from refdgs_pipe.sfm.evidence import Known, deviation, hold_out, poses_of
 from refdgs_pipe.sfm.poses import Effort, OnProgress, Shots
 from refdgs_pipe.sfm.still import Features, Still, find_still
-from refdgs_pipe.sfm.trust import standing
+from refdgs_pipe.sfm.trust import standing, trusted
 
 GOOD = 0.9  # share trusted under which a lenient mapper and the global one are tried too
 CREDIBLE = 0.8  # of the trusted photos: a solution with fewer is no evidence against the other
+LEAST_KEPT = 5  # trusted photos that others can be placed from
 LEAST_MATCHES = 15  # of a pair that is verified again, as COLMAP's own limit
 
 
@@ -63,10 +64,13 @@ def reconstruct(
         pairs = [(a, b) for a in sorted(lost) for b in files if a != b]
         base.match_pairs(database, pairs, effort, progress)
         best = max(best, solver.anew("again"), key=_standing)
+    if best.model is not None and _standing(best)[0] < len(files):
+        best = max(best, solver.further(best, "further"), key=_standing)
     if best.placed < len(files):
-        best = max(best, solver.anew("whole", holding_out=False), key=_standing)
-    if best.model is not None and best.placed < len(files):
-        best = max(best, solver.further(best), key=_standing)
+        whole = solver.anew("whole", holding_out=False)
+        if whole.model is not None and _standing(whole)[0] < len(files):
+            whole = max(whole, solver.further(whole, "whole further"), key=_standing)
+        best = max(best, whole, key=_standing)
     if _standing(best)[0] < GOOD * len(files):
         best = max(best, solver.anew("few", lenient=True), key=_standing)
     poses = best.poses
@@ -134,13 +138,22 @@ class _Solver:
         found = [self._found(mapping.refined(model), part, known) for model in large]
         return max(found, key=_standing) if found else self._found(None, part, known)
 
-    def further(self, found: _Found) -> _Found:
-        """The same with more photos, each placed by fewer matches than usual."""
-        folder = self.scratch / "further"
+    def further(self, found: _Found, name: str) -> _Found:
+        """The same, but photos without a trusted place are placed anew from the other photos.
+
+        Fewer matches than usual place a photo. A photo with a wrong place bends points to itself,
+        so it is taken out with its sights first.
+
+        Args:
+            name: of a folder.
+        """
+        folder = self.scratch / name
         folder.mkdir()
-        told = self._placing(found.placed)
+        kept = trusted(found.poses)
+        start = mapping.only(found.model, kept) if len(kept) >= LEAST_KEPT else found.model
+        told = self._placing(mapping.size(start)[0])
         models = mapping.incremental(
-            found.part, self.images, folder, told, lenient=True, start=found.model
+            found.part, self.images, folder, told, lenient=True, start=start
         )
         return self._found(models[0], found.part, found.known) if models else found
 

@@ -87,6 +87,20 @@ def all_at_once(database: Path, images: Path, folder: Path) -> Any:
     return max(found.values(), key=size, default=None)
 
 
+def only(model: Any, files: list[str]) -> Any:
+    """A copy of the reconstruction in which only these photos have a place.
+
+    Args:
+        files: their names; those of the model's other photos are left out with their sights.
+    """
+    copy = pycolmap.Reconstruction(model)
+    for image_id in list(copy.reg_image_ids()):
+        image = copy.image(image_id)
+        if image.name not in files:
+            copy.deregister_frame(image.frame_id)
+    return copy
+
+
 def size(model: Any) -> tuple[int, int]:
     """How much was reconstructed: photos first, then points."""
     return (0, 0) if model is None else (model.num_reg_images(), model.num_points3D())
