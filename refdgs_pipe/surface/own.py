@@ -52,4 +52,4 @@ def own_surface(
         )
     except (ChildCrashed, ChildTimeout, RuntimeError) as error:
         raise MeshError(f"the mesh could not be cleaned ({error})") from error
-    return fitted(done.mesh, model, draw, rounds=ROUNDS, faces=FACES, track=track)
+    return fitted(done.mesh, model, draw, rounds=ROUNDS, faces=FACES, track=track)[0]

@@ -1,8 +1,10 @@
 """Fit a mesh to its views: to their outlines, and to where they agree on its colours."""
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from refdgs_pipe.artifacts.mesh import Mesh, TriangleMesh
 from refdgs_pipe.artifacts.sparse_model import SparseModel
@@ -10,15 +12,32 @@ from refdgs_pipe.artifacts.surface_map import SurfaceMap
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.received import links_of
 from refdgs_pipe.surface.agreement import Pattern, disagreement
+from refdgs_pipe.surface.flats import flats_of, flattened
 from refdgs_pipe.surface.rims import fit_rims
 from refdgs_pipe.surface.silhouettes import MOST, Outline, outline_pull, spread_evenly
 from refdgs_pipe.surface.walls import with_walls
 from refdgs_pipe.tracing import Solid
 
+F64 = NDArray[np.float64]
+
 _LONGEST = 640  # pixels: more do not make an outline much sharper
 _COVERED = 0.5  # alpha
 _LIMIT = 0.01  # diameters of the object ball: what lies further off is another part's
 _BLUR = (1.5, 1.0)  # pixels, in the first round and then: further, then finer
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A mesh that was fitted to its views.
+
+    Args:
+        held: (V,) views on whose outline a vertex lies.
+        told: (V,) how much the views' colours tell of its depth, in the same unit.
+    """
+
+    mesh: TriangleMesh
+    held: F64
+    told: F64
 
 
 def fitted(
@@ -28,17 +47,23 @@ def fitted(
     *,
     rounds: int,
     faces: int,
+    flatten: bool = True,
     track: Callable[[list[Camera], str], Iterable[Camera]],
-) -> Mesh:
+) -> tuple[Mesh, int]:
     """The mesh fitted to what training cameras see of the object, with walls below its rims.
 
     Args:
-        draw: what a camera sees.
+        draw: what a camera sees. A table that was removed still covers what is behind the object;
+            such outlines are too far off to count.
         faces: the most that the mesh may have with its walls.
+        flatten: whether flat parts whose depth only outlines tell become planes.
         track: wraps the cameras, to report progress under a label.
+
+    Returns:
+        The mesh, and how many parts of it were made flat.
     """
     if not rounds:
-        return mesh
+        return mesh, 0
     cameras = model.training_cameras
     limit = _LIMIT * 2 * model.ball.radius
     outlines, patterns = [], []
@@ -46,9 +71,14 @@ def fitted(
         view = draw(camera.fitted(_LONGEST))
         outlines.append(Outline.of(view.camera, view.alpha >= _COVERED))
         patterns.append(Pattern(view, near=limit))
-    moved = fit_views(mesh, outlines, patterns, limit=limit, rounds=rounds)
+    fit = fit_views(mesh, outlines, patterns, limit=limit, rounds=rounds)
+    diameter = 2 * model.ball.radius
+    flats = []
+    if flatten:
+        flats = flats_of(fit.mesh, fit.held, fit.told, limit=limit, diameter=diameter)
+    moved = flattened(fit.mesh, flats)
     moved = with_walls(moved, outlines, limit=limit, faces=faces)
-    return Mesh(moved.vertices, moved.faces)
+    return Mesh(moved.vertices, moved.faces), len(flats)
 
 
 def fit_views(
@@ -58,7 +88,7 @@ def fit_views(
     *,
     limit: float,
     rounds: int,
-) -> TriangleMesh:
+) -> Fit:
     """The mesh with its vertices moved along their normals, and its open rims where they end.
 
     Args:
@@ -66,6 +96,7 @@ def fit_views(
         rounds: times that the views are looked at and the vertices moved.
     """
     links = links_of(mesh.faces)
+    held, colours = (np.zeros(len(mesh.vertices)) for _ in range(2))
     for number in range(rounds):
         normals = mesh.vertex_normals()
         solid = Solid(mesh.vertices, mesh.faces)
@@ -83,4 +114,5 @@ def fit_views(
         points = mesh.vertices + moved[:, None] * normals
         mesh = TriangleMesh(points.astype(np.float32), mesh.faces)
         mesh = fit_rims(mesh, outlines, limit=limit)
-    return mesh
+        held, colours = told[0][0], told[1][0]
+    return Fit(mesh, held, colours)

@@ -51,7 +51,7 @@ def outlines_of_a_disc() -> list[Outline]:
 @pytest.mark.parametrize("radius", [0.985, 1.015])
 def test_views_that_disagree_on_a_pattern_move_the_mesh(radius: float) -> None:
     wrong = sphere(48, radius=radius)
-    mesh = fit_views(wrong, [], patterns(PATTERNED), limit=0.1, rounds=3)
+    mesh = fit_views(wrong, [], patterns(PATTERNED), limit=0.1, rounds=3).mesh
     lengths = np.linalg.norm(mesh.vertices, axis=1)
     assert abs(np.median(lengths) - 1) < 0.003
     assert np.quantile(np.abs(lengths - 1), 0.9) < 0.008
@@ -60,7 +60,7 @@ def test_views_that_disagree_on_a_pattern_move_the_mesh(radius: float) -> None:
 def test_what_has_no_pattern_stays() -> None:
     grey = Scene((Sphere((0, 0, 0), 1.0, constant(0.5, 0.5, 0.5)),), gradient_sky)
     wrong = sphere(24, radius=0.98)
-    mesh = fit_views(wrong, [], patterns(grey), limit=0.1, rounds=2)
+    mesh = fit_views(wrong, [], patterns(grey), limit=0.1, rounds=2).mesh
     assert np.abs(mesh.vertices - wrong.vertices).max() < 0.003
 
 

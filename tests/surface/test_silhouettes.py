@@ -20,7 +20,7 @@ def outlines(scene: Scene) -> list[Outline]:
 def fit_outlines(
     mesh: TriangleMesh, seen: list[Outline], *, limit: float, rounds: int
 ) -> TriangleMesh:
-    return fit_views(mesh, seen, [], limit=limit, rounds=rounds)
+    return fit_views(mesh, seen, [], limit=limit, rounds=rounds).mesh
 
 
 @pytest.mark.parametrize("radius", [0.96, 1.03])

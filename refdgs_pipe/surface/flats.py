@@ -1,0 +1,254 @@
+"""Flat parts of a mesh, made flat.
+
+Outlines hold the edges of a flat wall, but not its middle: no camera stands in the wall's plane, so
+the solid that all outlines allow bulges there. Where the wall also mirrors, colours do not tell
+where it lies. Such a part gets the plane that its outlines allow: it bounds the surface from
+outside, so the plane lies along the lower side of the places that outlines hold.
+
+A part counts as flat if it is nearly plane already, if the surface bends away all around it, if
+outlines hold some of it, and if the views' colours do not determine its depth.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
+
+from refdgs_pipe.artifacts.mesh import TriangleMesh
+from refdgs_pipe.received import links_of
+from refdgs_pipe.surface.silhouettes import MOST, spread_evenly
+
+F64 = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+SMOOTH = 0.01  # of the ball's diameter, by which normals are smoothed before they are compared
+TILT = np.cos(np.radians(12.0))  # between a place's normal and the plane's
+LEAST_AREA = 0.015  # of the mesh's area
+CURVED = np.radians(6.5)  # root mean square tilt; a curved part that ends at TILT has 6.9 or more
+BEYOND = 0.03  # diameters outside the part, where the surface has to be bent
+BENT = np.cos(np.radians(25.0))
+BENT_SHARE = 0.7  # of the places there
+HELD, SPREAD = 0.02, 0.5  # share of the part that outlines have to hold; their spread, by its own
+TOLD = 0.05  # of `disagreement`, in views, from which on colours tell the depth
+INWARDS = 0.75  # weight of places inside the plane; those outside it have the rest
+UNHELD = 0.02  # weight of a place that no outline holds, against one outline
+PLANE_ROUNDS = 12
+_DIRECTIONS, _NEAR = 600, np.cos(np.radians(10.0))
+_FIRM, _REST = 1e4, 3.0  # of the flat part's place; of the rest's staying
+
+
+@dataclass(frozen=True)
+class Flat:
+    """A flat part: the rows (n,) of its vertices, and its plane's point and unit normal."""
+
+    rows: Ints
+    center: F64
+    normal: F64
+
+
+def flats_of(
+    mesh: TriangleMesh, held: F64, told: F64, *, limit: float, diameter: float
+) -> list[Flat]:
+    """The flat parts whose depth only outlines tell, largest first.
+
+    Args:
+        held: (V,) views on whose outline each vertex lies, as from `outline_pull`.
+        told: (V,) how much colours tell of its depth, as from `disagreement`.
+        limit: what lies further from a plane does not belong to it, world units.
+        diameter: of the object ball, world units.
+    """
+    net = _Net.of(mesh, diameter)
+    held = np.minimum(held, MOST)
+    free, seen = np.ones(len(held), bool), np.zeros(len(held), bool)
+    facing = net.smooth @ _directions().T > _NEAR
+    tried = np.zeros(facing.shape[1], bool)
+    least, found = LEAST_AREA * net.area.sum(), []
+    while True:
+        share = np.where(tried, 0.0, (net.area * free) @ facing)
+        best = int(share.argmax())
+        if share[best] < least:
+            break
+        tried[best] = True
+        for start in _pieces(net, free & facing[:, best], least):
+            if net.area[start & seen].sum() > 0.5 * net.area[start].sum():
+                continue
+            part = _grown(net, start, free, 1.5 * limit)
+            if part is None or net.area[part].sum() < least:
+                continue
+            seen |= part
+            outwards = net.outwards(part)
+            if _is_flat(net, part, outwards, held, told, diameter):
+                weight = net.area[part] * (held[part] + UNHELD)
+                center, normal = _lower_plane(net.points[part], weight, outwards)
+                free &= ~part
+                found.append(Flat(np.flatnonzero(part), center, normal))
+    return found
+
+
+def flattened(mesh: TriangleMesh, flats: list[Flat]) -> TriangleMesh:
+    """The mesh with its flat parts moved onto their planes; what is beside them follows."""
+    if not flats:
+        return mesh
+    points = mesh.vertices.astype(np.float64)
+    weight, moved = np.zeros(len(points)), np.zeros_like(points)
+    for flat in flats:
+        away = (points[flat.rows] - flat.center) @ flat.normal
+        moved[flat.rows] = -away[:, None] * flat.normal
+        weight[flat.rows] = _FIRM
+    links = links_of(mesh.faces)
+    for axis in range(3):
+        pull = weight * moved[:, axis]
+        followed = spread_evenly(weight, pull, links, rest=_REST)
+        points[:, axis] += np.where(weight > 0, moved[:, axis], followed)
+    return TriangleMesh(points.astype(np.float32), mesh.faces)
+
+
+@dataclass(frozen=True)
+class _Net:
+    """A mesh as a net of V vertices.
+
+    Args:
+        beside: (V, V) 1 for neighbours; area: (V,) a third of the faces around.
+        smooth: (V, 3) unit normals, smoothed; rim: (V,) on an open rim.
+        step: median length of an edge, world units.
+    """
+
+    points: F64
+    beside: csr_array
+    area: F64
+    smooth: F64
+    rim: Bools
+    step: float
+
+    @classmethod
+    def of(cls, mesh: TriangleMesh, diameter: float) -> "_Net":
+        points, count = mesh.vertices.astype(np.float64), len(mesh.vertices)
+        corners = mesh.faces.astype(np.int64)
+        ends = np.sort(np.stack([corners, np.roll(corners, -1, 1)], -1).reshape(-1, 2), axis=1)
+        links, times = np.unique(ends, axis=0, return_counts=True)
+        a, b = links.T
+        ones = np.ones(2 * len(links))
+        beside = csr_array((ones, (np.r_[a, b], np.r_[b, a])), shape=(count, count))
+        p, q, r = (points[corners[:, i]] for i in range(3))
+        faces = np.linalg.norm(np.cross(q - p, r - p), axis=1) / 2
+        thirds = np.bincount(corners.ravel(), np.repeat(faces / 3, 3), minlength=count)
+        area = np.asarray(thirds, np.float64)
+        step = float(np.median(np.linalg.norm(points[a] - points[b], axis=1)))
+        normals: F64 = mesh.vertex_normals().astype(np.float64) * area[:, None]
+        for _ in range(max(1, round(SMOOTH * diameter / step))):
+            normals += np.asarray(beside @ normals, np.float64)
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+        rim = np.zeros(count, bool)
+        rim[links[times == 1]] = True
+        return cls(points, beside, area, normals, rim, step)
+
+    def outwards(self, part: Bools) -> F64:
+        """(3,) normal of the plane of a part, on the outside of the surface."""
+        normal = _plane(self.points[part], self.area[part])[1]
+        return normal * np.sign((self.area[part] @ self.smooth[part]) @ normal)
+
+
+def _directions() -> F64:
+    """(n, 3) unit vectors, evenly spread (a Fibonacci lattice)."""
+    row = np.arange(_DIRECTIONS) + 0.5
+    height = 1 - 2 * row / _DIRECTIONS
+    turn = np.pi * (1 + np.sqrt(5)) * row
+    radius = np.sqrt(1 - height**2)
+    return np.stack([np.cos(turn) * radius, np.sin(turn) * radius, height], 1)
+
+
+def _pieces(net: _Net, chosen: Bools, least: float) -> list[Bools]:
+    """Connected parts of the chosen vertices with at least this area, largest first."""
+    rows = np.flatnonzero(chosen)
+    labels = connected_components(net.beside[rows][:, rows], directed=False)[1]
+    areas = np.bincount(labels, net.area[rows])
+    out = []
+    for label in np.argsort(-areas, kind="stable"):
+        if areas[label] < least:
+            break
+        part = np.zeros(len(chosen), bool)
+        part[rows[labels == label]] = True
+        out.append(part)
+    return out
+
+
+def _plane(points: F64, weight: F64) -> tuple[F64, F64]:
+    """Centre and unit normal of the plane of least squares."""
+    center = np.average(points, axis=0, weights=weight)
+    away = points - center
+    return center, np.linalg.eigh((away * weight[:, None]).T @ away)[1][:, 0]
+
+
+def _grown(net: _Net, part: Bools, free: Bools, reach: float) -> Bools | None:
+    """The connected vertices near the plane of a part, and turned like it; None for none."""
+    for _ in range(6):
+        center = np.average(net.points[part], axis=0, weights=net.area[part])
+        normal = net.outwards(part)
+        near = np.abs((net.points - center) @ normal) < reach
+        pieces = _pieces(net, free & near & (net.smooth @ normal > TILT), 0.0)
+        shared = [float(net.area[piece & part].sum()) for piece in pieces]
+        if not shared or max(shared) == 0:
+            return None
+        before, part = part, pieces[int(np.argmax(shared))]
+        if (before != part).sum() < 0.01 * part.sum():
+            break
+    return part
+
+
+def _is_flat(net: _Net, part: Bools, normal: F64, held: F64, told: F64, diameter: float) -> bool:
+    """Whether a part is flat by all that is known, and only outlines tell where it lies.
+
+    Args:
+        normal: (3,) of its plane, outwards.
+    """
+    area = net.area[part]
+    if np.median(told[part]) >= TOLD or not _is_held(net, part, held):
+        return False
+    tilt = np.arccos(np.clip(net.smooth[part] @ normal, -1, 1))
+    if np.sqrt(np.average(tilt**2, weights=area)) > CURVED:
+        return False
+    grown, last = part, part
+    for _ in range(max(2, round(BEYOND * diameter / net.step))):
+        last = (net.beside @ grown.astype(float) > 0) & ~grown
+        grown = grown | last
+    border = last | (net.rim & part)
+    if not border.any():
+        return False
+    ends = (net.smooth[border] @ normal < BENT) | (net.rim & part)[border]
+    return bool(net.area[border] @ ends >= BENT_SHARE * net.area[border].sum())
+
+
+def _is_held(net: _Net, part: Bools, held: F64) -> bool:
+    """Whether outlines hold enough of a part, in both directions, to tell its plane."""
+    area = net.area[part]
+    firm = area * (held[part] > 0)
+    if firm.sum() < HELD * area.sum():
+        return False
+    away = net.points[part] - np.average(net.points[part], axis=0, weights=area)
+    sizes, across = np.linalg.eigh(np.cov(away.T, aweights=area))
+    along = away @ across[:, 1:]
+    wide = np.average(along**2, axis=0, weights=firm)
+    wide -= np.average(along, axis=0, weights=firm) ** 2
+    return bool((wide >= SPREAD**2 * sizes[1:]).all())
+
+
+def _lower_plane(points: F64, weight: F64, outwards: F64) -> tuple[F64, F64]:
+    """The plane along the inner side of places that bound a surface from outside.
+
+    An expectile plane (Newey and Powell 1987), with Cauchy's weights against places far from it.
+
+    Args:
+        outwards: (3,) a normal that points out of the surface.
+    """
+    now = weight
+    for _ in range(PLANE_ROUNDS):
+        center, normal = _plane(points, now)
+        normal = normal * np.sign(normal @ outwards)
+        away = (points - center) @ normal
+        scale = 0.5 * np.sqrt(np.average(away**2, weights=weight))
+        side = np.where(away > 0, 1 - INWARDS, INWARDS)
+        now = weight * side / (1 + (away / max(float(scale), 1e-12)) ** 2)
+    return center, normal
