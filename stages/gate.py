@@ -7,7 +7,7 @@ from refdgs_pipe.pipeline.stage import Job, stage
 from refdgs_pipe.sfm.settings import GateParams
 
 
-@stage(version=3)
+@stage(version=4)
 def gate(views: Views, placement: Placement, params: GateParams, job: Job) -> SparseModel:
     """Keep the photos whose places can be trusted; poses that came with them are kept."""
     from refdgs_pipe.sfm.gate import check_trusted, examine

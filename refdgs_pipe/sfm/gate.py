@@ -15,6 +15,7 @@ from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import F64, Camera
 from refdgs_pipe.errors import PoseError
+from refdgs_pipe.sfm.alike import Agreement, agreement
 from refdgs_pipe.sfm.posed import model_from_poses
 from refdgs_pipe.sfm.trust import conflict, groups, reasons
 
@@ -35,6 +36,13 @@ SPREAD_DEG = 10.0  # between the directions that the object is seen from
 PARALLAX_DEG = 1.5  # median angle at which neighbouring photos see the points in the ball
 GAP_DEG = 60.0  # between neighbours round the object, from which on a gap is named
 NAMES_SHOWN = 8
+LIKE_PAIRS = 2  # of close photos
+LIKE_SHARE = 0.46  # of the points without a match, that look alike in them
+_EQUAL_SIDES = (
+    "Photos of different sides seem to lie in one place: the object or its surroundings repeat. "
+    "Put something that is not repeated on the ground beside the object, and take more photos in "
+    "between"
+)
 
 
 @dataclass(frozen=True)
@@ -103,6 +111,7 @@ def examine(views: Views, placement: Placement, *, least: float) -> Judgement:
         if poses.rival is not None:
             checks.append(_two_solutions(poses.rival))
         if evidence is not None:
+            checks += _looking_alike(agreement(model, views))
             checks += _about_the_ball(model)
         checks.append(_spread(model))
         gaps = gaps_of(model, {view.name: view.source or view.name for view in views.items})
@@ -268,9 +277,21 @@ def _alike(evidence: Evidence, lost: set[str]) -> list[Check]:
             "features shared by photos with nearly the same place",
             f"{share:.0%} in {int(close.sum())} pairs, {CLOSE_SHARE:.0%} are needed",
             share >= CLOSE_SHARE,
-            "Photos of different sides seem to lie in one place: the object or its surroundings "
-            "repeat. Put something that is not repeated on the ground beside the object, and take "
-            "more photos in between",
+            _EQUAL_SIDES,
+        )
+    ]
+
+
+def _looking_alike(found: Agreement) -> list[Check]:
+    """Whether photos that were placed close together show the same."""
+    if found.pairs < LIKE_PAIRS:
+        return []
+    return [
+        Check(
+            "points that look alike in photos with nearly the same place",
+            f"{found.share:.0%} in {found.pairs} pairs, {LIKE_SHARE:.0%} are needed",
+            found.share >= LIKE_SHARE,
+            _EQUAL_SIDES,
         )
     ]
 

@@ -1,0 +1,144 @@
+"""Whether photos that were placed close together show the same.
+
+Where an object has equal sides, photos of different sides can get the same place, and all their
+matches agree. What differs between the sides has no match (missing correspondences: Zach, Irschara
+and Bischof 2008). So the points that one photo sees and the other has no match for are looked up
+in both. If the places are right, both show the same pattern there, equally lit.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from refdgs_pipe.artifacts.photos import load_photo
+from refdgs_pipe.artifacts.sparse_model import SparseModel
+from refdgs_pipe.artifacts.views import Views
+from refdgs_pipe.camera import F64, Camera
+
+Ints = NDArray[np.int64]
+
+CLOSE_DEG = 15.0  # between the rays of two photos to the points that both see, in the median
+SHARED = 10  # points that two photos have to share
+SIDE = 800  # pixels, of the photos that are compared
+MOST_PAIRS = 60  # that are compared, chosen evenly
+MOST_POINTS = 150  # of a photo, looked up in another
+FEWEST_POINTS = 15
+HALF = 6  # pixels, of a patch
+CONTRAST = 0.016  # standard deviation of a patch that tells anything, sRGB
+LIKE = 0.5  # correlation of two patches that show the same
+LIT = 0.25  # difference of the logarithms of their light, beside that of the shared points
+FLOOR = 0.01  # added to linear light before its logarithm
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """What was found in the pairs of close photos.
+
+    Args:
+        pairs: ordered pairs that could be compared.
+        share: of the points without a match, that look alike in both photos: the lower quartile
+            over the pairs; NaN without pairs.
+    """
+
+    pairs: int
+    share: float
+
+
+def agreement(model: SparseModel, views: Views) -> Agreement:
+    """Compare the photos that were placed close together."""
+    pairs = _close(model)
+    chosen = np.unique(np.linspace(0, len(pairs) - 1, min(len(pairs), MOST_PAIRS)).astype(int))
+    pictures = _Pictures(views, model)
+    shares = []
+    for one, other, shared, rest in (pairs[i] for i in chosen):
+        light, _ = pictures.compared(one, other, model.points[shared])
+        if not len(light):
+            continue
+        apart, like = pictures.compared(one, other, model.points[rest])
+        if len(like) >= FEWEST_POINTS:
+            lit = np.abs(apart - np.median(light)) < LIT
+            shares.append(float((lit & (like > LIKE)).mean()))
+    lower = float(np.quantile(shares, 0.25)) if shares else float("nan")
+    return Agreement(len(shares), lower)
+
+
+def _close(model: SparseModel) -> list[tuple[Camera, Camera, Ints, Ints]]:
+    """Ordered pairs of close photos, with some points that both see and some of the first alone."""
+    found = []
+    for one in model.cameras:
+        for other in model.cameras:
+            a, b = model.tracks[one.name], model.tracks[other.name]
+            shared = np.intersect1d(a, b)
+            if one is other or len(shared) < SHARED:
+                continue
+            rays = [model.points[shared] - camera.center for camera in (one, other)]
+            cosine = (rays[0] * rays[1]).sum(1) / np.maximum(
+                np.linalg.norm(rays[0], axis=1) * np.linalg.norm(rays[1], axis=1), 1e-12
+            )
+            if np.median(cosine) > np.cos(np.radians(CLOSE_DEG)):
+                found.append((one, other, _some(shared), _some(np.setdiff1d(a, b))))
+    return found
+
+
+def _some(rows: Ints) -> Ints:
+    chosen = np.linspace(0, len(rows) - 1, min(len(rows), MOST_POINTS)).astype(int)
+    return np.asarray(rows[chosen])
+
+
+class _Pictures:
+    """The photos, small and grey, each read once."""
+
+    def __init__(self, views: Views, model: SparseModel) -> None:
+        self.views, self.model = views, model
+        self._read: dict[str, tuple[Camera, NDArray[np.float32]]] = {}
+
+    def compared(self, one: Camera, other: Camera, points: F64) -> tuple[F64, F64]:
+        """For points that both photos show with some contrast: how much more light the first has
+        (difference of logarithms), and the correlation of the patches around them.
+
+        A patch lies in the plane through the point that faces the middle between both cameras.
+        """
+        patches = []
+        grid = _grid(one, self._picture(one)[0], (one.center + other.center) / 2, points)
+        for camera in (one, other):
+            small, grey = self._picture(camera)
+            pixels, depth = small.project(grid.reshape(-1, 3))
+            x, y = (pixels[:, i].reshape(grid.shape[:2]).astype(np.float32) - 0.5 for i in (0, 1))
+            found = cv2.remap(
+                grey, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan
+            )
+            behind = depth.reshape(grid.shape[:2]) <= 0
+            patches.append(np.where(behind, np.nan, found).astype(np.float64))
+        a, b = patches
+        kept = np.isfinite(a).all(1) & np.isfinite(b).all(1)
+        a, b = a[kept], b[kept]
+        light = [np.log(np.maximum(p.mean(1), 0) ** 2.2 + FLOOR) for p in (a, b)]
+        a, b = (p - p.mean(1, keepdims=True) for p in (a, b))
+        spread = [np.sqrt((p * p).mean(1)) for p in (a, b)]
+        like = (a * b).mean(1) / np.maximum(spread[0] * spread[1], 1e-9)
+        told = spread[0] > CONTRAST
+        return (light[0] - light[1])[told], like[told]
+
+    def _picture(self, camera: Camera) -> tuple[Camera, NDArray[np.float32]]:
+        if camera.name not in self._read:
+            scale = min(1.0, SIDE / max(camera.width, camera.height))
+            photo = load_photo(self.views, self.model, camera, scale=scale)
+            grey = np.where(photo.valid, photo.rgb.mean(-1), np.nan).astype(np.float32)
+            self._read[camera.name] = photo.camera, grey
+        return self._read[camera.name]
+
+
+def _grid(camera: Camera, small: Camera, facing: F64, points: F64) -> F64:
+    """(n, k, 3) places of patches around points (n, 3), as large as pixels of `small` there."""
+    normal = facing - points
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+    right = np.cross(normal, camera.cam_from_world[1, :3])
+    right /= np.maximum(np.linalg.norm(right, axis=1, keepdims=True), 1e-12)
+    down = np.cross(normal, right)
+    pixel = np.linalg.norm(points - camera.center, axis=1) / small.K[0, 0]
+    steps = np.arange(-HALF, HALF + 1)
+    x, y = (axis.ravel()[None, :, None] for axis in np.meshgrid(steps, steps))
+    across = x * right[:, None] + y * down[:, None]
+    return np.asarray(points[:, None] + pixel[:, None, None] * across)

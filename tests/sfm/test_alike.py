@@ -1,0 +1,89 @@
+"""Photos that were placed close together have to show the same."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from refdgs_pipe.artifacts.sparse_model import Ball, SparseModel
+from refdgs_pipe.artifacts.views import Exif, View, Views
+from refdgs_pipe.camera import F64, Camera, Lens
+from refdgs_pipe.sfm.alike import Agreement, agreement
+
+SIDE, FOCAL = 160, 200.0
+K = np.array([[FOCAL, 0, SIDE / 2], [0, FOCAL, SIDE / 2], [0, 0, 1.0]])
+
+
+def camera(name: str, x: float) -> Camera:
+    """At (x, 0, -3), looking along z."""
+    pose = np.eye(4)
+    pose[:3, 3] = [-x, 0.0, 3.0]
+    return Camera(name, SIDE, SIDE, K, pose)
+
+
+def seen(pose: Camera, board: F64, light: float) -> np.ndarray:
+    """A board in the plane z = 0, 8 units wide, as the camera sees it; times some light."""
+    rays = pose.pixel_rays()
+    places = pose.center[:2] + 3.0 * rays[..., :2]
+    x, y = (np.float32((places[..., i] + 4) * len(board) / 8 - 0.5) for i in (0, 1))
+    picture = cv2.remap(board.astype(np.float32), x, y, cv2.INTER_LINEAR)
+    return np.clip(picture * light, 0, 255).astype(np.uint8)
+
+
+def found(folder: Path, boards: list[F64], lights: list[F64 | float]) -> Agreement:
+    """Two photos from nearly the same place, each of its own board."""
+    rng = np.random.default_rng(1)
+    points = np.concatenate([rng.uniform(-0.9, 0.9, (200, 2)), np.zeros((200, 1))], 1)
+    items, cameras = [], []
+    (folder / "images").mkdir(parents=True)
+    for i, board in enumerate(boards):
+        one = camera(f"IMG_{i}", 0.2 * i)
+        grey = seen(one, board, 1.0) * lights[i]
+        cv2.imwrite(str(folder / f"images/IMG_{i}.png"), cv2.merge([np.uint8(grey)] * 3))
+        name = f"IMG_{i}"
+        taken = (None, "train", Exif(), 1.0, 0.3, None, f"{name}.jpg")
+        items.append(View(name, f"images/{name}.png", SIDE, SIDE, *taken))
+        cameras.append(one)
+    views = Views(folder, tuple(items), "srgb", "photo")
+    model = SparseModel(
+        cameras=tuple(cameras),
+        lenses={c.name: Lens(K, np.zeros(8)) for c in cameras},
+        points=points,
+        point_colors=np.zeros((200, 3), np.uint8),
+        tracks={"IMG_0": np.arange(120), "IMG_1": np.arange(80, 200)},
+        ball=Ball(np.zeros(3), 1.0),
+        up=np.array([0.0, 0.0, 1.0]),
+        sfm_from_world=np.eye(4),
+        metres_per_unit=None,
+        lost=(),
+    )
+    return agreement(model, views)
+
+
+def board(seed: int) -> F64:
+    noise = np.random.default_rng(seed).uniform(0, 255, (512, 512))
+    return np.asarray(cv2.GaussianBlur(noise, (0, 0), 1.5), np.float64) * 3 - 255
+
+
+def test_photos_of_one_board_agree_whatever_their_exposure(tmp_path: Path) -> None:
+    same = found(tmp_path / "a", [board(0), board(0)], [1.0, 1.0])
+    assert same.pairs == 2
+    assert same.share > 0.9
+    assert found(tmp_path / "b", [board(0), board(0)], [0.9, 0.5]).share > 0.9
+
+
+def test_photos_of_two_boards_in_one_place_do_not_agree(tmp_path: Path) -> None:
+    assert found(tmp_path, [board(0), board(1)], [1.0, 1.0]).share < 0.1
+
+
+def test_light_that_falls_otherwise_does_not_agree(tmp_path: Path) -> None:
+    slope = np.linspace(0.2, 1.0, SIDE)[None, :]
+    uneven = found(tmp_path, [board(0), board(0)], [slope, slope[:, ::-1]])
+    assert uneven.share < 0.5
+
+
+def test_photos_far_from_each_other_are_not_compared(tmp_path: Path) -> None:
+    one = found(tmp_path, [board(0)], [1.0])
+    assert one.pairs == 0
+    assert one.share == pytest.approx(float("nan"), nan_ok=True)
