@@ -22,7 +22,8 @@ Ints = NDArray[np.int64]
 CLOSE_DEG = 15.0  # between the rays of two photos to the points that both see, in the median
 SHARED = 10  # points that two photos have to share
 SIDE = 800  # pixels, of the photos that are compared
-MOST_PAIRS = 60  # that are compared, chosen evenly
+NEAR_DEG = 8.0  # the same between photos that see the same light
+MOST_PAIRS = 60  # that are compared, the closest first
 MOST_POINTS = 150  # of a photo, looked up in another
 FEWEST_POINTS = 15
 HALF = 6  # pixels, of a patch
@@ -40,32 +41,57 @@ class Agreement:
         pairs: ordered pairs that could be compared.
         share: of the points without a match, that look alike in both photos: the lower quartile
             over the pairs; NaN without pairs.
+        near: of these pairs, those that are nearer to each other still.
+        uneven: how unequally the points that both see are lit in one photo and the other: median
+            deviation of the logarithms' difference, median over the near pairs; NaN without these.
     """
 
     pairs: int
     share: float
+    near: int
+    uneven: float
 
 
 def agreement(model: SparseModel, views: Views) -> Agreement:
     """Compare the photos that were placed close together."""
-    pairs = _close(model)
-    chosen = np.unique(np.linspace(0, len(pairs) - 1, min(len(pairs), MOST_PAIRS)).astype(int))
     pictures = _Pictures(views, model)
-    shares = []
-    for one, other, shared, rest in (pairs[i] for i in chosen):
-        light, _ = pictures.compared(one, other, model.points[shared])
+    shares, uneven = [], []
+    for pair in _close(model)[:MOST_PAIRS]:
+        light, _ = pictures.compared(pair.one, pair.other, model.points[pair.shared])
         if not len(light):
             continue
-        apart, like = pictures.compared(one, other, model.points[rest])
+        apart, like = pictures.compared(pair.one, pair.other, model.points[pair.rest])
         if len(like) >= FEWEST_POINTS:
             lit = np.abs(apart - np.median(light)) < LIT
             shares.append(float((lit & (like > LIKE)).mean()))
-    lower = float(np.quantile(shares, 0.25)) if shares else float("nan")
-    return Agreement(len(shares), lower)
+        if pair.angle < NEAR_DEG:
+            uneven.append(float(np.median(np.abs(light - np.median(light)))))
+    return Agreement(
+        len(shares),
+        float(np.quantile(shares, 0.25)) if shares else float("nan"),
+        len(uneven),
+        float(np.median(uneven)) if uneven else float("nan"),
+    )
 
 
-def _close(model: SparseModel) -> list[tuple[Camera, Camera, Ints, Ints]]:
-    """Ordered pairs of close photos, with some points that both see and some of the first alone."""
+@dataclass(frozen=True)
+class _Pair:
+    """Two close photos.
+
+    Args:
+        angle: between their rays to the points that both see, degrees, in the median.
+        shared, rest: rows of points that both see, and that the first sees alone.
+    """
+
+    one: Camera
+    other: Camera
+    angle: float
+    shared: Ints
+    rest: Ints
+
+
+def _close(model: SparseModel) -> list[_Pair]:
+    """Ordered pairs of close photos, the closest first."""
     found = []
     for one in model.cameras:
         for other in model.cameras:
@@ -77,9 +103,11 @@ def _close(model: SparseModel) -> list[tuple[Camera, Camera, Ints, Ints]]:
             cosine = (rays[0] * rays[1]).sum(1) / np.maximum(
                 np.linalg.norm(rays[0], axis=1) * np.linalg.norm(rays[1], axis=1), 1e-12
             )
-            if np.median(cosine) > np.cos(np.radians(CLOSE_DEG)):
-                found.append((one, other, _some(shared), _some(np.setdiff1d(a, b))))
-    return found
+            angle = float(np.degrees(np.arccos(np.clip(np.median(cosine), -1, 1))))
+            if angle < CLOSE_DEG:
+                rest = _some(np.setdiff1d(a, b))
+                found.append(_Pair(one, other, angle, _some(shared), rest))
+    return sorted(found, key=lambda pair: pair.angle)
 
 
 def _some(rows: Ints) -> Ints:

@@ -38,6 +38,8 @@ GAP_DEG = 60.0  # between neighbours round the object, from which on a gap is na
 NAMES_SHOWN = 8
 LIKE_PAIRS = 2  # of close photos
 LIKE_SHARE = 0.46  # of the points without a match, that look alike in them
+NEAR_PAIRS = 4
+UNEVEN = 0.085  # difference of the logarithms of light
 _EQUAL_SIDES = (
     "Photos of different sides seem to lie in one place: the object or its surroundings repeat. "
     "Put something that is not repeated on the ground beside the object, and take more photos in "
@@ -283,17 +285,17 @@ def _alike(evidence: Evidence, lost: set[str]) -> list[Check]:
 
 
 def _looking_alike(found: Agreement) -> list[Check]:
-    """Whether photos that were placed close together show the same."""
-    if found.pairs < LIKE_PAIRS:
-        return []
-    return [
-        Check(
-            "points that look alike in photos with nearly the same place",
-            f"{found.share:.0%} in {found.pairs} pairs, {LIKE_SHARE:.0%} are needed",
-            found.share >= LIKE_SHARE,
-            _EQUAL_SIDES,
-        )
-    ]
+    """Whether photos that were placed close together show the same, and lit alike."""
+    checks = []
+    if found.pairs >= LIKE_PAIRS:
+        share = f"{found.share:.0%} in {found.pairs} pairs, {LIKE_SHARE:.0%} are needed"
+        name = "points that look alike in photos with nearly the same place"
+        checks.append(Check(name, share, found.share >= LIKE_SHARE, _EQUAL_SIDES))
+    if found.near >= NEAR_PAIRS:
+        apart = f"{found.uneven:.0%} in {found.near} pairs, at most {UNEVEN:.0%} are usual"
+        name = "difference in light between photos with the same place"
+        checks.append(Check(name, apart, found.uneven <= UNEVEN, _EQUAL_SIDES))
+    return checks
 
 
 def _two_solutions(apart: float) -> Check:

@@ -11,6 +11,7 @@ from refdgs_pipe.artifacts.placement import Attempt, Evidence, Placement, Poses
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import F64
 from refdgs_pipe.errors import CorruptError, PoseError
+from refdgs_pipe.sfm.alike import Agreement
 from refdgs_pipe.sfm.gate import check_trusted, examine, gaps_of
 
 COUNT, POINTS, SIDE, FOCAL = 12, 400, 64, 80.0
@@ -244,3 +245,26 @@ def test_a_place_that_the_other_photos_do_not_confirm_is_left_out(views: Views) 
         "cannot be done",
         "moves it by 6% of its distance",
     ]
+
+
+@pytest.mark.parametrize(
+    ("seen", "named"),
+    [
+        (Agreement(9, 0.3, 0, float("nan")), "points that look alike"),
+        (Agreement(9, 0.8, 4, 0.2), "difference in light"),
+    ],
+)
+def test_close_photos_that_do_not_show_the_same_end_the_run(
+    views: Views, seen: Agreement, named: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("refdgs_pipe.sfm.gate.agreement", lambda *_: seen)
+    judgement = examine(views, placement(EVENLY), least=0.7)
+    with pytest.raises(PoseError, match=f"{named}.*\n?.*Photos of different sides"):
+        check_trusted(views, judgement, attempts=1)
+
+
+def test_close_photos_that_show_the_same_pass(
+    views: Views, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("refdgs_pipe.sfm.gate.agreement", lambda *_: Agreement(9, 0.8, 4, 0.02))
+    assert examine(views, placement(EVENLY), least=0.7).is_trusted
