@@ -30,6 +30,7 @@ HALF = 6  # pixels, of a patch
 CONTRAST = 0.016  # standard deviation of a patch that tells anything, sRGB
 LIKE = 0.5  # correlation of two patches that show the same
 LIT = 0.25  # difference of the logarithms of their light, beside that of the shared points
+SHARPER = 1.6  # times the contrast of what both see: such photos are not equally sharp
 FLOOR = 0.01  # added to linear light before its logarithm
 
 
@@ -57,10 +58,10 @@ def agreement(model: SparseModel, views: Views) -> Agreement:
     pictures = _Pictures(views, model)
     shares, uneven = [], []
     for pair in _close(model)[:MOST_PAIRS]:
-        light, _ = pictures.compared(pair.one, pair.other, model.points[pair.shared])
-        if not len(light):
+        light, _, contrast = pictures.compared(pair.one, pair.other, model.points[pair.shared])
+        if not len(light) or not 1 / SHARPER < np.median(contrast) < SHARPER:
             continue
-        apart, like = pictures.compared(pair.one, pair.other, model.points[pair.rest])
+        apart, like, _ = pictures.compared(pair.one, pair.other, model.points[pair.rest])
         if len(like) >= FEWEST_POINTS:
             lit = np.abs(apart - np.median(light)) < LIT
             shares.append(float((lit & (like > LIKE)).mean()))
@@ -122,9 +123,10 @@ class _Pictures:
         self.views, self.model = views, model
         self._read: dict[str, tuple[Camera, NDArray[np.float32]]] = {}
 
-    def compared(self, one: Camera, other: Camera, points: F64) -> tuple[F64, F64]:
+    def compared(self, one: Camera, other: Camera, points: F64) -> tuple[F64, F64, F64]:
         """For points that both photos show with some contrast: how much more light the first has
-        (difference of logarithms), and the correlation of the patches around them.
+        (difference of logarithms), the correlation of the patches around them, and how many times
+        the relative contrast of the first the second has.
 
         A patch lies in the plane through the point that faces the middle between both cameras.
         """
@@ -142,12 +144,14 @@ class _Pictures:
         a, b = patches
         kept = np.isfinite(a).all(1) & np.isfinite(b).all(1)
         a, b = a[kept], b[kept]
-        light = [np.log(np.maximum(p.mean(1), 0) ** 2.2 + FLOOR) for p in (a, b)]
+        level = [np.maximum(p.mean(1), 1e-3) for p in (a, b)]
+        light = [np.log(mean**2.2 + FLOOR) for mean in level]
         a, b = (p - p.mean(1, keepdims=True) for p in (a, b))
         spread = [np.sqrt((p * p).mean(1)) for p in (a, b)]
         like = (a * b).mean(1) / np.maximum(spread[0] * spread[1], 1e-9)
         told = spread[0] > CONTRAST
-        return (light[0] - light[1])[told], like[told]
+        contrast = spread[1] * level[0] / (np.maximum(spread[0], 1e-9) * level[1])
+        return (light[0] - light[1])[told], like[told], contrast[told]
 
     def _picture(self, camera: Camera) -> tuple[Camera, NDArray[np.float32]]:
         if camera.name not in self._read:
