@@ -91,7 +91,7 @@ class _Found:
     """One reconstruction.
 
     Args:
-        model: None where there is none.
+        model: with the lens that it was mapped with; None where there is none.
         part: the database that it was made of; known: the pairs that are not in it.
     """
 
@@ -135,7 +135,7 @@ class _Solver:
         told = self._placing(0)
         models = mapping.incremental(part, self.images, folder, told, lenient=lenient)
         large = [m for m in models if 2 * mapping.size(m)[0] >= mapping.size(models[0])[0]]
-        found = [self._found(mapping.refined(model), part, known) for model in large]
+        found = [self._found(model, part, known) for model in large]
         return max(found, key=_standing) if found else self._found(None, part, known)
 
     def further(self, found: _Found, name: str) -> _Found:
@@ -158,7 +158,9 @@ class _Solver:
         return self._found(models[0], found.part, found.known) if models else found
 
     def _found(self, model: Any, part: Path, known: Known) -> _Found:
-        return _Found(poses_of(model, "incremental", self.database, known), model, part, known)
+        """With the poses of the refined model. The mapper goes on from the unrefined one only."""
+        refined = None if model is None else mapping.refined(model)
+        return _Found(poses_of(refined, "incremental", self.database, known), model, part, known)
 
     def _placing(self, placed: int) -> Callable[[int], None]:
         """Tells how many photos have a place so far."""

@@ -31,3 +31,26 @@ def test_a_photo_that_is_left_out_takes_its_sights_along() -> None:
     assert found["after"] == found["all"][1:]
     assert found["seen"] == 0
     assert found["points"] > 0
+
+
+def model_that_mapping_goes_on_from() -> bool:
+    """Whether it is the mapper's own, where the refined one has another lens."""
+    from unittest.mock import patch
+
+    import cv2  # noqa: F401  before pycolmap
+    import pycolmap
+
+    from refdgs_pipe.sfm import colmap
+
+    own, refined = pycolmap.Reconstruction(), pycolmap.Reconstruction()
+    solver = colmap._Solver(*[None] * 5)  # type: ignore[arg-type]
+    with (
+        patch.object(colmap.mapping, "refined", lambda _: refined),
+        patch.object(colmap, "poses_of", lambda model, *_: model),
+    ):
+        found = solver._found(own, None, None)  # type: ignore[arg-type]
+    return found.model is own and found.poses is refined
+
+
+def test_mapping_goes_on_with_the_lens_that_the_database_has() -> None:
+    assert call_in_child("sfm.test_mapping:model_that_mapping_goes_on_from", {})
