@@ -26,6 +26,8 @@ COARSE = 0.07  # ball radii: wider patterns are left out of what is compared
 FAINT = 0.03  # contrast of log brightness that tells nothing
 PLAIN = 0.01  # squared, of mixed second differences of log brightness that tell nothing
 ALIKE, BETTER = 0.6, 0.4  # correlation of a mirror image; more than with what other photos see
+EVEN = 0.4  # median correlation of the parts of a mirror image: it is like in most of them
+BLOCKS = 6  # parts along the line; there are two across
 ALONE = 0.75  # correlation of a mirror without another at a right angle or back to back
 SQUARE_ALIKE, SQUARE_BETTER = 0.4, 0.3  # the same beside a mirror at a right angle
 SQUARE = 0.08  # cosine or sine of the angle between mirrors that counts as right
@@ -44,6 +46,8 @@ class Wall:
         deep: how far behind it the mirror image seems to reach.
         likeness: correlation of the mirror image.
         gain: how much that is above the correlation with what other photos see there.
+        even: median correlation of its parts. Two lines of print that cross are their own mirror
+            image, and can make up all of the likeness.
     """
 
     middle: F64
@@ -52,6 +56,7 @@ class Wall:
     deep: float
     likeness: float
     gain: float
+    even: float
 
     @property
     def along(self) -> F64:
@@ -91,7 +96,7 @@ def mirror_walls(table: Table, seen: F32, centers: F64, radius: float) -> list[W
     for wall in found:
         if not any(_same(wall, other, APART * radius) for other in walls):
             walls.append(wall)
-    sure = [wall for wall in walls if wall.likeness >= ALIKE and wall.gain >= BETTER]
+    sure = [w for w in walls if w.likeness >= ALIKE and w.gain >= BETTER and w.even >= EVEN]
     sure = [w for w in sure if w.likeness >= ALONE or any(_square(w, other) for other in sure)]
     kept = [w for w in walls if w in sure or any(_square(w, other) for other in sure)]
     return [_met(wall, kept, LONG * radius) for wall in kept]
@@ -186,7 +191,9 @@ def _lines(pictures: list[F32], turn: float, size: _Sizes, step: float) -> list[
         world = (place + 0.5 - n / 2) * step
         outward = _unit(turn)
         half = (right - left) / 2 * step
-        figures = (float(image[best]), float(gain[best]))
+        near = front[row - size.deep : row, left:right][::-1]
+        even = _evenly(near, -outside[:, left:right])
+        figures = (float(image[best]), float(gain[best]), even)
         found.append(Wall(world, outward, (-half, half), deep * step, *figures))
     return found
 
@@ -196,6 +203,17 @@ def _alike(one: F32, other: F32, long: int) -> F32:
     sums = [(one * other).mean(0), (one * one).mean(0), (other * other).mean(0)]
     both, first, second = (cv2.blur(s[None].astype(np.float32), (long, 1))[0] for s in sums)
     return np.asarray(both / np.sqrt((first + PLAIN) * (second + PLAIN)), np.float32)
+
+
+def _evenly(one: F32, other: F32) -> float:
+    """Median correlation of the blocks of two (D, W)."""
+    found = []
+    for rows in np.array_split(np.arange(one.shape[0]), 2):
+        for columns in np.array_split(np.arange(one.shape[1]), BLOCKS):
+            a, b = (part[np.ix_(rows, columns)] for part in (one, other))
+            scale = np.sqrt(((a * a).mean() + PLAIN) * ((b * b).mean() + PLAIN))
+            found.append(float((a * b).mean() / scale))
+    return float(np.median(found))
 
 
 def _extent(front: F32, row: int, best: int, size: _Sizes) -> tuple[int, int, int]:

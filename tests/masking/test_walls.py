@@ -89,6 +89,18 @@ def test_an_object_that_mirrors_nothing_has_no_walls(kind: str) -> None:
     assert mirror_walls(table(), seen, centers, 1.0) == []
 
 
+def test_a_mirror_image_is_like_in_most_of_its_parts() -> None:
+    rng = np.random.default_rng(0)
+    one, other = rng.normal(0, 1, (2, 12, 60)).astype(np.float32)
+    assert walls_module._evenly(one, one) > 0.95
+    crossing = other.copy()
+    crossing[:, :10] = 20 * one[:, :10]  # most of the likeness lies in one place
+    assert float((one * crossing).sum()) > 0.6 * np.linalg.norm(one[:, :10]) * np.linalg.norm(
+        crossing
+    )
+    assert walls_module._evenly(one, crossing) < 0.3
+
+
 def test_photos_from_too_few_places_tell_of_no_walls() -> None:
     seen, centers = capture(mirror=True)
     assert mirror_walls(table(), seen[::12], centers[::12], 1.0) == []
@@ -96,7 +108,7 @@ def test_photos_from_too_few_places_tell_of_no_walls() -> None:
 
 def test_what_stands_before_another_wall_is_not_covered() -> None:
     def wall(x: float, outward: float) -> Wall:
-        return Wall(np.array([x, 0.0]), np.array([outward, 0.0]), (-0.5, 0.5), 0.6, 0.9, 0.9)
+        return Wall(np.array([x, 0.0]), np.array([outward, 0.0]), (-0.5, 0.5), 0.6, 0.9, 0.9, 0.9)
 
     covered = footprint([wall(0.2, 1), wall(-0.2, -1)], table().ground, CELLS)
     x = places()[..., 0]
@@ -105,24 +117,25 @@ def test_what_stands_before_another_wall_is_not_covered() -> None:
 
 
 @pytest.mark.parametrize(
-    "likenesses, kept",
+    "likenesses, even, kept",
     [
-        ({0: 0.65}, []),  # a patch of print can look like the mirror image of another
-        ({0: 0.8}, [0]),
-        ({0: 0.65, 90: 0.65}, [0, 90]),
-        ({0: 0.65, 45: 0.65}, []),
-        ({0: 0.65, 180: 0.65, 90: 0.45, 30: 0.45}, [0, 90, 180]),
+        ({0: 0.65}, 0.9, []),  # a patch of print can look like the mirror image of another
+        ({0: 0.8}, 0.9, [0]),
+        ({0: 0.65, 90: 0.65}, 0.9, [0, 90]),
+        ({0: 0.8, 90: 0.8}, 0.2, []),  # all of the likeness lies in one place
+        ({0: 0.65, 45: 0.65}, 0.9, []),
+        ({0: 0.65, 180: 0.65, 90: 0.45, 30: 0.45}, 0.9, [0, 90, 180]),
     ],
 )
 def test_a_weak_likeness_counts_only_beside_another_mirror(
-    likenesses: dict[int, float], kept: list[int], monkeypatch: pytest.MonkeyPatch
+    likenesses: dict[int, float], even: float, kept: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def lines(pictures: object, turn: float, *_: object) -> list[Wall]:
         if turn % 360 not in likenesses:
             return []
         outward = np.array([np.cos(np.radians(turn)), np.sin(np.radians(turn))])
         value = likenesses[int(turn % 360)]
-        return [Wall(0.4 * outward, outward, (-0.2, 0.2), 0.2, value, value)]
+        return [Wall(0.4 * outward, outward, (-0.2, 0.2), 0.2, value, value, even)]
 
     monkeypatch.setattr(walls_module, "_lines", lines)
     seen = np.zeros((PHOTOS, CELLS, CELLS, 3), np.float32)
