@@ -130,6 +130,8 @@ class _Pictures:
 
         A patch lies in the plane through the point that faces the middle between both cameras.
         """
+        if not len(points):
+            return np.zeros(0), np.zeros(0), np.zeros(0)
         patches = []
         grid = _grid(one, self._picture(one)[0], (one.center + other.center) / 2, points)
         for camera in (one, other):
