@@ -28,6 +28,11 @@ RESIDUAL = 0.08  # sRGB: a pixel that the volume explains
 THROUGH = 15  # photos that must look through an empty cell, at most a sixth of all
 FOLDS = 2  # each photo is judged by a volume that was fitted to the others
 EXPLAINED = 0.5  # share of these in which the volume explains the pixel
+BETTER = 0.2  # correlation with the pattern there, above that of the closed hull
+CONTRAST = 0.06  # of that pattern, sRGB: what is plain matches whatever lies behind
+PATTERN = 7  # pixels, as large as cells, over which patterns are compared
+FAINT = 0.02  # contrast that tells nothing
+OPAQUE = 20.0  # raw density of the closed hull
 
 
 @dataclass(frozen=True)
@@ -85,8 +90,10 @@ def hollow_cells(
     A grid of density and colour (as in direct voxel grid optimisation, Sun et al. 2022, without a
     network and without view dependence) starts all but empty and is fitted for some `steps` of
     random rays. Where most photos that look through a cell are explained by what lies behind, it is
-    a hollow. Each photo is judged by a volume that never saw it: a volume can imitate a mirror in
-    photos that it learns, but not in others. Mirrors are not explained, and keep their hull.
+    a hollow, if the volume also shows the photo's pattern there, and better than the closed hull
+    with one colour for each place does. Each photo is judged by a volume that never saw it: a
+    volume can imitate a mirror in photos that it learns, but not in others. Mirrors are not
+    explained, and keep their hull; plain surfaces tell nothing, and keep it too.
 
     Args:
         hull: (n, n, n) cells that can hold anything.
@@ -103,7 +110,7 @@ def hollow_cells(
     space = _Space(middle, float(ticks[0]), float(ticks[1] - ticks[0]), solid, below)
     index = torch.from_numpy(np.argwhere(hull))
     points = middle + space.low + index * space.cell
-    through, explained = torch.zeros(2, len(points))
+    through, explained, better, contrast = torch.zeros(4, len(points))
     photos = list(zip(cameras, pictures, masks, strict=True))
     for fold in range(FOLDS):
         learned = [photo for i, photo in enumerate(photos) if i % FOLDS != fold]
@@ -112,12 +119,17 @@ def hollow_cells(
             return np.zeros_like(hull)
         told = None if progress is None else _later(progress, fold * (steps // FOLDS), steps)
         volume = _fitted(_joined(rays), space, steps // FOLDS, seed + fold, told)
-        for camera, picture, mask in photos[fold::FOLDS]:
-            passes, good = _looks_through(camera, picture, mask, space, volume, points)
+        shut = _shut(hull, space, learned)
+        for photo in photos[fold::FOLDS]:
+            seen = _Seen.of(*photo, space)
+            passes, good, fits, bold = _looks_through(seen, space, volume, shut, points)
             through += passes
-            explained += good
+            explained += passes * good
+            better += passes * fits
+            contrast += passes * bold
     enough = min(THROUGH, math.ceil(len(cameras) / 6))
     empty = (through >= enough) & (explained >= EXPLAINED * through)
+    empty &= (better >= BETTER * through) & (contrast >= CONTRAST * through)
     out = np.zeros_like(hull)
     out[tuple(index[empty].T.numpy())] = True
     return out
@@ -238,41 +250,114 @@ def _loss(volume: Tensor, rays: _Rays, space: _Space, step: float, jitter: Tenso
     return loss + VARIATION_WEIGHT * torch.stack(varies).sum()
 
 
+@dataclass(frozen=True)
+class _Seen:
+    """A photo at a size at which a cell is about a pixel.
+
+    Args:
+        rays: through its mask; rows, columns: (N,) of their pixels.
+    """
+
+    camera: Camera
+    rays: _Rays
+    rows: Tensor
+    columns: Tensor
+
+    @classmethod
+    def of(cls, camera: Camera, picture: Tensor, mask: Tensor, space: _Space) -> "_Seen":
+        distance = float(np.linalg.norm(camera.center - space.center.numpy()))
+        scale = min(1.0, distance / (space.cell * float(camera.K[0, 0])))
+        camera = camera.resized(
+            max(8, round(camera.width * scale)), max(8, round(camera.height * scale))
+        )
+        both = torch.cat([picture, mask[None]])[None]
+        size = (camera.height, camera.width)
+        small = functional.interpolate(both, size, mode="area")[0]
+        rays, (y, x) = _rays(camera, small[:3], small[3], space, margin=False)
+        return cls(camera, rays, y, x)
+
+    def picture(self, values: Tensor, fill: float) -> Tensor:
+        """(H, W) or (3, H, W) of values (N,) or (N, 3) at the rays' pixels."""
+        size = (self.camera.height, self.camera.width)
+        out = torch.full((*values.shape[1:], *size), fill)
+        out[..., self.rows, self.columns] = values.movedim(0, -1)
+        return out
+
+    def first(self, space: _Space, volume: Tensor) -> tuple[Tensor, Tensor, tuple[Tensor, ...]]:
+        """Colours (N, 3), distances (N,) of the surface, inf for none, and its cells (N,) each."""
+        samples = _samples(self.rays, space, 0.5 * space.cell, 0.5)
+        image, _, _, passed = _march(volume, space, samples, 0.5 * space.cell)
+        behind = passed > math.log(2.0)
+        first = samples[0].gather(1, behind.float().argmax(1)[:, None])[:, 0]
+        first = torch.where(behind.any(1), first, torch.inf)
+        places = self.rays.origin + first.nan_to_num(posinf=0)[:, None] * self.rays.direction
+        cells = ((places - space.low) / space.cell).round().long().clamp(0, space.cells - 1)
+        return image, first, cells.unbind(-1)
+
+
+@torch.no_grad()
+def _shut(
+    hull: Bool, space: _Space, photos: list[tuple[Camera, Tensor, Tensor]]
+) -> tuple[Tensor, Tensor]:
+    """The hull as a volume without hollows, and (n, n, n, 3) the mean colour seen on its surface.
+
+    The simpler explanation: what a photo sees lies on the hull, with one colour for all photos.
+    """
+    volume = torch.zeros(1, 4, *hull.shape)
+    volume[0, 0] = torch.where(torch.from_numpy(hull), OPAQUE, START_DENSITY)
+    color, count = torch.zeros(*hull.shape, 3), torch.zeros(hull.shape)
+    for photo in photos:
+        seen = _Seen.of(*photo, space)
+        _, first, cells = seen.first(space, volume)
+        there = torch.isfinite(first)
+        index = tuple(part[there] for part in cells)
+        color.index_put_(index, seen.rays.color[there], accumulate=True)
+        count.index_put_(index, torch.ones(int(there.sum())), accumulate=True)
+    near = [functional.avg_pool3d(v[None], 3, 1, 1)[0] for v in (color.movedim(-1, 0), count[None])]
+    return volume, (near[0] / near[1].clamp(min=1e-6)).movedim(0, -1)
+
+
 @torch.no_grad()
 def _looks_through(
-    camera: Camera, picture: Tensor, mask: Tensor, space: _Space, volume: Tensor, points: Tensor
-) -> tuple[Tensor, Tensor]:
-    """(N,) whether the photo's surface lies behind each point; and is explained there, too."""
-    distance = float(np.linalg.norm(camera.center - space.center.numpy()))
-    scale = min(1.0, distance / (space.cell * float(camera.K[0, 0])))  # a cell: a pixel
-    camera = camera.resized(
-        max(8, round(camera.width * scale)), max(8, round(camera.height * scale))
-    )
-    size = (camera.height, camera.width)
-    both = torch.cat([picture, mask[None]])[None]
-    small = functional.interpolate(both, size, mode="area")[0]
-    rays, (y, x) = _rays(camera, small[:3], small[3], space, margin=False)
-    step = 0.5 * space.cell
-    samples = _samples(rays, space, step, 0.5)
-    image, _, _, passed = _march(volume, space, samples, step)
-    pose = torch.tensor(camera.cam_from_world)
-    half = math.log(2.0)
-    behind = passed > half
-    first = samples[0].gather(1, behind.float().argmax(1)[:, None])[:, 0]
-    first = torch.where(behind.any(1), first, torch.inf)  # distance of the surface
-    places = rays.origin + first.nan_to_num(posinf=0)[:, None] * rays.direction
-    i, j, k = (
-        ((places - space.low) / space.cell).round().long().clamp(0, space.cells - 1).unbind(-1)
-    )
+    seen: _Seen, space: _Space, volume: Tensor, shut: tuple[Tensor, Tensor], points: Tensor
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """(N,) of each point: whether the photo's surface lies behind it; whether the volume explains
+    the pixel; how much better its pattern fits than the closed hull's; and the pattern's contrast.
+
+    Args:
+        shut: as from `_shut`.
+    """
+    image, first, cells = seen.first(space, volume)
+    _, _, places = seen.first(space, shut[0])
+    pose, rays = torch.tensor(seen.camera.cam_from_world), seen.rays
     forward = rays.direction.double() @ pose[2, :3]
-    depth, explained = torch.full(size, -1.0), torch.zeros(size)
-    depth[y, x] = (first * forward).float()
-    good = ((image - rays.color).abs().amax(-1) < RESIDUAL) & ~space.ground[i, j, k]
-    explained[y, x] = good.float()
+    depth = seen.picture((first * forward).float(), -1.0)
+    good = ((image - rays.color).abs().amax(-1) < RESIDUAL) & ~space.ground[cells]
+    own, opened, closed = (
+        _pattern(seen.picture(c, 1.0)) for c in (rays.color, image, shut[1][places])
+    )
+    better = _likeness(own, opened) - _likeness(own, closed)
     px, py, z = (points @ pose[:3, :3].T + pose[:3, 3]).unbind(-1)
-    K = camera.K
+    K, (height, width) = seen.camera.K, depth.shape
     column, row = ((px / z * K[0, 0] + K[0, 2]).floor(), (py / z * K[1, 1] + K[1, 2]).floor())
-    seen = (z > 0) & (column >= 0) & (row >= 0) & (column < size[1]) & (row < size[0])
-    column, row = torch.where(seen, column, 0).long(), torch.where(seen, row, 0).long()
-    passes = (seen & (depth[row, column] > z + SLACK * space.cell)).float()
-    return passes, passes * explained[row, column]
+    inside = (z > 0) & (column >= 0) & (row >= 0) & (column < width) & (row < height)
+    column, row = torch.where(inside, column, 0).long(), torch.where(inside, row, 0).long()
+    passes = (inside & (depth[row, column] > z + SLACK * space.cell)).float()
+    fine, bold = seen.picture(good.float(), 0.0), _mean((own * own).sum(0)).sqrt()
+    return passes, fine[row, column], better[row, column], bold[row, column]
+
+
+def _mean(image: Tensor) -> Tensor:
+    """(H, W) mean over the window in which patterns are compared."""
+    return functional.avg_pool2d(image[None, None], PATTERN, 1, PATTERN // 2)[0, 0]
+
+
+def _pattern(image: Tensor) -> Tensor:
+    """(3, H, W) without the mean around each pixel."""
+    return image - torch.stack([_mean(channel) for channel in image])
+
+
+def _likeness(one: Tensor, other: Tensor) -> Tensor:
+    """(H, W) correlation of two patterns (3, H, W); 0 where there is none."""
+    both, a, b = (_mean(product.sum(0)) for product in (one * other, one * one, other * other))
+    return both / torch.sqrt((a + FAINT**2) * (b + FAINT**2))
