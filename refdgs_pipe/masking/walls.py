@@ -23,6 +23,7 @@ FEWEST = 4  # photos of a sector
 DEEP, LONG = 0.2, 0.36  # ball radii: the parts that are compared
 REACH = 1.1  # ball radii round the middle, in which mirrors are looked for
 COARSE = 0.07  # ball radii: wider patterns are left out of what is compared
+BLURS = (0.0, 0.017)  # ball radii, of the compared pictures: rough mirrors blur what they show
 FAINT = 0.03  # contrast of log brightness that tells nothing
 PLAIN = 0.01  # squared, of mixed second differences of log brightness that tell nothing
 ALIKE, BETTER = 0.6, 0.4  # correlation of a mirror image; more than with what other photos see
@@ -87,10 +88,11 @@ def mirror_walls(table: Table, seen: F32, centers: F64, radius: float) -> list[W
         front, other = gray[towards > FRONT], gray[towards < OTHER]
         if len(front) < FEWEST:
             continue
-        parts = (front, other, front[::2], front[1::2])
-        pictures = [_detail(_median(part, n), size.coarse) for part in parts]
-        for turn in np.arange(sector - SECTOR_DEG / 2, sector + SECTOR_DEG / 2, TURN_DEG):
-            found += _lines(pictures, turn, size, step)
+        medians = [_median(part, n) for part in (front, other, front[::2], front[1::2])]
+        for blur in BLURS:
+            pictures = [_detail(_blurred(m, blur * radius / step), size.coarse) for m in medians]
+            for turn in np.arange(sector - SECTOR_DEG / 2, sector + SECTOR_DEG / 2, TURN_DEG):
+                found += _lines(pictures, turn, size, step)
     found.sort(key=lambda wall: -wall.gain)
     walls: list[Wall] = []
     for wall in found:
@@ -144,6 +146,16 @@ def _median(part: F32, n: int) -> F32:
     if not len(part):
         return np.full((n, n), np.nan, np.float32)
     return np.asarray(torch.from_numpy(part).nanmedian(0).values.numpy(), np.float32)
+
+
+def _blurred(picture: F32, sigma: float) -> F32:
+    """(n, n) blurred by `sigma` cells where anything is known; NaN stays NaN."""
+    if sigma == 0:
+        return picture
+    known = np.isfinite(picture).astype(np.float32)
+    total = cv2.GaussianBlur(np.nan_to_num(picture), (0, 0), sigma)
+    mean = total / np.maximum(cv2.GaussianBlur(known, (0, 0), sigma), 1e-3)
+    return np.where(known > 0, mean, np.nan).astype(np.float32)
 
 
 def _detail(picture: F32, coarse: float) -> F32:
