@@ -149,6 +149,25 @@ class SurfaceDistances:
         return 2 * precision * recall / both if both else 0.0
 
 
+def worst_part(points: F64, distances: F64, *, edge: float, least: int) -> float:
+    """Mean distance in the worst part of a surface, so that a dent cannot hide in a mean.
+
+    Parts are the cubes of a grid whose corner is the points' lowest corner.
+
+    Args:
+        points: (N, 3) samples spread evenly over the surface; distances: (N,) theirs.
+        edge: of the cubes, in the points' unit.
+        least: samples of a part that counts; if none has as many, all are one part.
+    """
+    cells = np.floor((points - points.min(0)) / edge).astype(np.int64)
+    _, place = np.unique(cells, axis=0, return_inverse=True)
+    place = place.reshape(-1)
+    count = np.bincount(place)
+    means = np.bincount(place, distances) / count
+    large = count >= least
+    return float(means[large].max()) if large.any() else float(distances.mean())
+
+
 def _unit(vectors: F32 | F64) -> F64:
     wide = vectors.astype(np.float64)
     return np.asarray(wide / np.maximum(np.linalg.norm(wide, axis=-1, keepdims=True), 1e-12))

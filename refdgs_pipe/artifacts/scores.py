@@ -52,6 +52,8 @@ class SurfaceScore:
         chamfer, accuracy, completeness: between surfaces, where training cameras see them.
         f_score_half_percent, f_score_one_percent: share within that part of the diagonal, 0 to 1.
         median_accuracy, median_completeness: medians where accuracy and completeness are means.
+        worst_accuracy, worst_completeness: the means in the worst part of the surface, of parts as
+            large as a tenth of the diagonal.
     """
 
     diagonal: float
@@ -63,6 +65,8 @@ class SurfaceScore:
     f_score_one_percent: float | None = None
     median_accuracy: float | None = None
     median_completeness: float | None = None
+    worst_accuracy: float | None = None
+    worst_completeness: float | None = None
 
     def percent(self, length: float | None) -> float | None:
         """A length in percent of the diagonal."""

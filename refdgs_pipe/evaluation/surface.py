@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from refdgs_pipe.artifacts.mesh import TriangleMesh
 from refdgs_pipe.artifacts.scores import SurfaceScore
 from refdgs_pipe.camera import Camera
-from refdgs_pipe.metrics import SurfaceDistances, nearest
+from refdgs_pipe.metrics import SurfaceDistances, nearest, worst_part
 
 F64 = NDArray[np.float64]
 
@@ -17,6 +17,8 @@ PAPER_VOXEL = 0.01  # world units
 SAMPLES = 200_000  # of each mesh
 SEED = 0
 NEIGHBOURHOOD = 0.05  # of the truth's diagonal: what lies further off is no part of the object
+PART = 0.1  # of the diagonal: edge of the parts among which the worst is named
+PART_SHARE = 0.002  # of the surface, of a part that counts
 HIDDEN_SHARE = 1e-3  # of the distance to the camera: what lies this far behind a surface is hidden
 
 
@@ -126,14 +128,14 @@ def score_surface(
         return None
     diagonal = _diagonal(true_mesh.vertices[np.unique(true_mesh.faces)])
     to_truth = truth.distances(samples)
-    points_apart: float | None = None
+    points_apart = None
     if among_others:
-        to_truth = to_truth[to_truth < NEIGHBOURHOOD * diagonal]
-        if not len(to_truth):
+        near = to_truth < NEIGHBOURHOOD * diagonal
+        samples, to_truth = samples[near], to_truth[near]
+        if not near.any():
             return None
     else:
-        paper = SurfaceDistances(nearest(points, targets), nearest(targets, points))
-        points_apart = paper.chamfer
+        points_apart = SurfaceDistances(nearest(points, targets), nearest(targets, points)).chamfer
     between = SurfaceDistances(to_truth, result.distances(true_samples))
     return SurfaceScore(
         diagonal,
@@ -143,6 +145,8 @@ def score_surface(
         completeness=between.completeness,
         median_accuracy=between.medians[0],
         median_completeness=between.medians[1],
+        worst_accuracy=_worst(samples, to_truth, diagonal),
+        worst_completeness=_worst(true_samples, between.to_result, diagonal),
         f_score_half_percent=between.f_score(0.005 * diagonal),
         f_score_one_percent=between.f_score(0.01 * diagonal),
     )
@@ -161,6 +165,11 @@ def sampled(mesh: TriangleMesh, count: int, seed: int) -> F64:
     u, v = chance.random((2, count, 1))
     root = np.sqrt(u)  # Osada et al. 2002, section 3.1
     return np.asarray((1 - root) * a[face] + root * (1 - v) * b[face] + root * v * c[face])
+
+
+def _worst(points: F64, distances: F64, diagonal: float) -> float:
+    least = max(1, round(PART_SHARE * len(points)))
+    return worst_part(points, distances, edge=PART * diagonal, least=least)
 
 
 def _diagonal(points: NDArray[Any]) -> float:

@@ -31,6 +31,8 @@ _SURFACE = {
     "completeness": "truth to mesh",
     "median_accuracy": "mesh to truth, median",
     "median_completeness": "truth to mesh, median",
+    "worst_accuracy": "mesh to truth, worst part",
+    "worst_completeness": "truth to mesh, worst part",
 }
 
 

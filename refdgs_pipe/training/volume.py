@@ -122,11 +122,10 @@ def hollow_cells(
         shut = _shut(hull, space, learned)
         for photo in photos[fold::FOLDS]:
             seen = _Seen.of(*photo, space)
-            passes, good, fits, bold = _looks_through(seen, space, volume, shut, points)
+            passes, *told_of = _looks_through(seen, space, volume, shut, points)
             through += passes
-            explained += passes * good
-            better += passes * fits
-            contrast += passes * bold
+            for total, value in zip((explained, better, contrast), told_of, strict=True):
+                total += passes * value
     enough = min(THROUGH, math.ceil(len(cameras) / 6))
     empty = (through >= enough) & (explained >= EXPLAINED * through)
     empty &= (better >= BETTER * through) & (contrast >= CONTRAST * through)

@@ -86,6 +86,19 @@ def test_a_hole_costs_completeness_and_not_accuracy() -> None:
     assert score.completeness == pytest.approx(0.25, rel=0.02)  # half of it, 0.5 away on average
 
 
+def test_a_dent_shows_in_the_worst_part() -> None:
+    truth = plane(cells=80)
+    dented = truth.vertices.copy()
+    inside = np.abs(dented[:, :2] - 0.5).max(1) < 0.2
+    dented[inside, 2] = -0.1
+    score = score_surface(TriangleMesh(dented, truth.faces), FROM_ABOVE, truth)
+    assert score is not None and score.chamfer is not None
+    assert score.chamfer < 0.006
+    assert score.worst_accuracy == pytest.approx(0.1, rel=0.35)
+    assert score.worst_completeness == pytest.approx(0.1, rel=0.35)
+    assert score.median_accuracy == pytest.approx(0, abs=1e-6)
+
+
 def test_only_points_give_only_the_papers_figure() -> None:
     truth = plane()
     points = Surface(truth, FROM_ABOVE).seen_points(0.01)
