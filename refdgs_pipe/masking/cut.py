@@ -1,12 +1,16 @@
 """The least outline that fits the evidence: a convex cut with sub-pixel edges."""
 
+import cv2
 import numpy as np
+from scipy.ndimage import binary_dilation, label
 
 from refdgs_pipe.masking.shots import F32
 
 STEPS = 100
 STEP = 0.35  # of the primal-dual method; below 1 / sqrt(8)
 FLOOR = 0.1  # least price of an outline, where the photo has an edge
+EDGE = 0.5  # of the median change of colour along the outline: an edge
+RIMMED = 0.6  # share of a hole's rim that has to be an edge
 
 
 def cut(evidence: F32, rgb: F32, *, weight: float) -> F32:
@@ -42,3 +46,36 @@ def cut(evidence: F32, rgb: F32, *, weight: float) -> F32:
         new = np.clip(inside + STEP * out, 0, 1)
         ahead, inside = 2 * new - inside, new
     return inside
+
+
+def without_false_holes(mask: F32, rgb: F32) -> F32:
+    """The mask with the holes filled that no edge of the photo goes round.
+
+    Where an object looks like what is behind it, some of its inside can be taken for that. A true
+    hole has an edge of the object all round.
+
+    Args:
+        mask: (H, W) in [0, 1]; rgb: (H, W, 3) sRGB in [0, 1].
+    """
+    solid = mask > 0.5
+    holes, count = label(~solid)
+    if count < 2 or not solid.any():
+        return mask
+    change = np.zeros(solid.shape, np.float32)
+    for channel in cv2.split(cv2.GaussianBlur(rgb, (0, 0), 1.0)):
+        dx, dy = (cv2.Sobel(channel, cv2.CV_32F, *order) for order in ((1, 0), (0, 1)))
+        change = np.maximum(change, np.hypot(dx, dy))
+    change = cv2.dilate(change, np.ones((3, 3), np.uint8))
+    beyond = np.unique(np.concatenate([holes[0], holes[-1], holes[:, 0], holes[:, -1]]))
+    outer = np.isin(holes, beyond) & ~solid
+    edge = binary_dilation(outer) & solid
+    if not edge.any():
+        return mask
+    least = EDGE * float(np.median(change[edge]))
+    filled = mask.copy()
+    for number in set(range(1, count + 1)) - set(beyond.tolist()):
+        hole = holes == number
+        rim = binary_dilation(hole) & solid
+        if (change[rim] >= least).mean() < RIMMED:
+            filled[hole] = 1.0
+    return filled

@@ -11,7 +11,7 @@ from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import F64
 from refdgs_pipe.masking.beyond import shown_room
 from refdgs_pipe.masking.colours import colour_evidence
-from refdgs_pipe.masking.cut import cut
+from refdgs_pipe.masking.cut import cut, without_false_holes
 from refdgs_pipe.masking.shots import (
     F32,
     Bools,
@@ -268,7 +268,8 @@ class _Worker:
         """(H, W) the cut of each photo."""
 
         def one(pair: tuple[F32, Shot]) -> F32:
-            return cut(pair[0], pair[1].rgb, weight=self.weight)
+            evidence, shot = pair
+            return without_false_holes(cut(evidence, shot.rgb, weight=self.weight), shot.rgb)
 
         return mapped(one, list(zip(values, self.shots, strict=True)), self.threads)
 
