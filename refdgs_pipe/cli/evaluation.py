@@ -39,8 +39,8 @@ SURFACE_ROWS = {
     "completeness": ("  truth to mesh", "completeness"),
     "median_accuracy": ("  mesh to truth", "median"),
     "median_completeness": ("  truth to mesh", "median"),
-    "worst_accuracy": ("  mesh to truth", "worst part, a tenth of the diagonal large"),
-    "worst_completeness": ("  truth to mesh", "worst part, a tenth of the diagonal large"),
+    "worst_accuracy": ("  mesh to truth", "in the worst part"),
+    "worst_completeness": ("  truth to mesh", "in the worst part"),
 }
 
 
