@@ -168,6 +168,7 @@ def sampled(mesh: TriangleMesh, count: int, seed: int) -> F64:
 
 
 def _worst(points: F64, distances: F64, diagonal: float) -> float:
+    """Mean distance in the worst part that is large enough, in the points' unit."""
     least = max(1, round(PART_SHARE * len(points)))
     return worst_part(points, distances, edge=PART * diagonal, least=least)
 

@@ -2,7 +2,7 @@
 
 import cv2
 import numpy as np
-from scipy.ndimage import binary_dilation, label
+from scipy.ndimage import binary_dilation, find_objects, label
 
 from refdgs_pipe.masking.shots import F32
 
@@ -73,9 +73,12 @@ def without_false_holes(mask: F32, rgb: F32) -> F32:
         return mask
     least = EDGE * float(np.median(change[edge]))
     filled = mask.copy()
-    for number in set(range(1, count + 1)) - set(beyond.tolist()):
-        hole = holes == number
-        rim = binary_dilation(hole) & solid
-        if (change[rim] >= least).mean() < RIMMED:
-            filled[hole] = 1.0
+    for number, box in enumerate(find_objects(holes), 1):
+        if number in beyond:
+            continue
+        part = tuple(slice(side.start - 1, side.stop + 1) for side in box)
+        hole = holes[part] == number
+        rim = binary_dilation(hole) & solid[part]
+        if (change[part][rim] >= least).mean() < RIMMED:
+            filled[part][hole] = 1.0
     return filled

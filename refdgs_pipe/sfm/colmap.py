@@ -64,13 +64,10 @@ def reconstruct(
         pairs = [(a, b) for a in sorted(lost) for b in files if a != b]
         base.match_pairs(database, pairs, effort, progress)
         best = max(best, solver.anew("again"), key=_standing)
-    if best.model is not None and _standing(best)[0] < len(files):
-        best = max(best, solver.further(best, "further"), key=_standing)
+    best = solver.further(best, "further")
     if best.placed < len(files):
         whole = solver.anew("whole", holding_out=False)
-        if whole.model is not None and _standing(whole)[0] < len(files):
-            whole = max(whole, solver.further(whole, "whole further"), key=_standing)
-        best = max(best, whole, key=_standing)
+        best = max(best, solver.further(whole, "whole further"), key=_standing)
     if _standing(best)[0] < GOOD * len(files):
         best = max(best, solver.anew("few", lenient=True), key=_standing)
     poses = best.poses
@@ -139,7 +136,7 @@ class _Solver:
         return max(found, key=_standing) if found else self._found(None, part, known)
 
     def further(self, found: _Found, name: str) -> _Found:
-        """The same, but photos without a trusted place are placed anew from the other photos.
+        """The same, or better: photos without a trusted place are placed anew from the others.
 
         Fewer matches than usual place a photo. A photo with a wrong place bends points to itself,
         so it is taken out with its sights first.
@@ -147,15 +144,18 @@ class _Solver:
         Args:
             name: of a folder.
         """
+        kept = trusted(found.poses)
+        if found.model is None or len(kept) == len(self.still.share):
+            return found
         folder = self.scratch / name
         folder.mkdir()
-        kept = trusted(found.poses)
         start = mapping.only(found.model, kept) if len(kept) >= LEAST_KEPT else found.model
         told = self._placing(mapping.size(start)[0])
         models = mapping.incremental(
             found.part, self.images, folder, told, lenient=True, start=start
         )
-        return self._found(models[0], found.part, found.known) if models else found
+        again = [self._found(model, found.part, found.known) for model in models[:1]]
+        return max([found, *again], key=_standing)
 
     def _found(self, model: Any, part: Path, known: Known) -> _Found:
         """With the poses of the refined model. The mapper goes on from the unrefined one only."""

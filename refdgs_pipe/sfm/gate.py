@@ -84,7 +84,7 @@ class Judgement:
 
 
 def examine(views: Views, placement: Placement, *, least: float) -> Judgement:
-    """Judge a placement by its evidence.
+    """Judge a placement by its evidence. Photos that were placed close together are read.
 
     Args:
         least: share of the photos that must have a trusted place.

@@ -26,6 +26,7 @@ Bools = NDArray[np.bool_]
 
 SMOOTH = 0.01  # of the ball's diameter, by which normals are smoothed before they are compared
 TILT = np.cos(np.radians(12.0))  # between a place's normal and the plane's
+NEAR = 1.5  # limits that a place of the part may lie off its plane
 LEAST_AREA = 0.015  # of the mesh's area
 CURVED = np.radians(6.5)  # root mean square tilt; a curved part that ends at TILT has 6.9 or more
 BEYOND = 0.03  # diameters outside the part, where the surface has to be bent
@@ -35,8 +36,8 @@ HELD, SPREAD = 0.02, 0.5  # share of the part that outlines have to hold; their 
 TOLD = 0.05  # of `disagreement`, in views, from which on colours tell the depth
 INWARDS = 0.75  # weight of places inside the plane; those outside it have the rest
 UNHELD = 0.02  # weight of a place that no outline holds, against one outline
-PLANE_ROUNDS = 12
-_DIRECTIONS, _NEAR = 600, np.cos(np.radians(10.0))
+GROW_ROUNDS, PLANE_ROUNDS = 6, 12
+_DIRECTIONS, _TOWARDS = 600, np.cos(np.radians(10.0))
 _FIRM, _REST = 1e4, 3.0  # of the flat part's place; of the rest's staying
 
 
@@ -57,13 +58,13 @@ def flats_of(
     Args:
         held: (V,) views on whose outline each vertex lies, as from `outline_pull`.
         told: (V,) how much colours tell of its depth, as from `disagreement`.
-        limit: what lies further from a plane does not belong to it, world units.
+        limit: as `fit_views` has it, world units; NEAR of it belong to a plane.
         diameter: of the object ball, world units.
     """
     net = _Net.of(mesh, diameter)
     held = np.minimum(held, MOST)
     free, seen = np.ones(len(held), bool), np.zeros(len(held), bool)
-    facing = net.smooth @ _directions().T > _NEAR
+    facing = net.smooth @ _directions().T > _TOWARDS
     tried = np.zeros(facing.shape[1], bool)
     least, found = LEAST_AREA * net.area.sum(), []
     while True:
@@ -75,7 +76,7 @@ def flats_of(
         for start in _pieces(net, free & facing[:, best], least):
             if net.area[start & seen].sum() > 0.5 * net.area[start].sum():
                 continue
-            part = _grown(net, start, free, 1.5 * limit)
+            part = _grown(net, start, free, NEAR * limit)
             if part is None or net.area[part].sum() < least:
                 continue
             seen |= part
@@ -184,7 +185,7 @@ def _plane(points: F64, weight: F64) -> tuple[F64, F64]:
 
 def _grown(net: _Net, part: Bools, free: Bools, reach: float) -> Bools | None:
     """The connected vertices near the plane of a part, and turned like it; None for none."""
-    for _ in range(6):
+    for _ in range(GROW_ROUNDS):
         center = np.average(net.points[part], axis=0, weights=net.area[part])
         normal = net.outwards(part)
         near = np.abs((net.points - center) @ normal) < reach

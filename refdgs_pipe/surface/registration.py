@@ -53,8 +53,7 @@ def fitted(
     """The mesh fitted to what training cameras see of the object, with walls below its rims.
 
     Args:
-        draw: what a camera sees. A table that was removed still covers what is behind the object;
-            such outlines are too far off to count.
+        draw: what a camera sees.
         faces: the most that the mesh may have with its walls.
         flatten: whether flat parts whose depth only outlines tell become planes.
         track: wraps the cameras, to report progress under a label.

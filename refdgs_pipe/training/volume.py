@@ -110,22 +110,19 @@ def hollow_cells(
     space = _Space(middle, float(ticks[0]), float(ticks[1] - ticks[0]), solid, below)
     index = torch.from_numpy(np.argwhere(hull))
     points = middle + space.low + index * space.cell
-    through, explained, better, contrast = torch.zeros(4, len(points))
+    told = torch.zeros(4, len(points))
     photos = list(zip(cameras, pictures, masks, strict=True))
     for fold in range(FOLDS):
         learned = [photo for i, photo in enumerate(photos) if i % FOLDS != fold]
         rays = [_rays(*photo, space, margin=True)[0] for photo in learned]
         if not any(len(part.mask) for part in rays):
             return np.zeros_like(hull)
-        told = None if progress is None else _later(progress, fold * (steps // FOLDS), steps)
-        volume = _fitted(_joined(rays), space, steps // FOLDS, seed + fold, told)
+        later = None if progress is None else _later(progress, fold * (steps // FOLDS), steps)
+        volume = _fitted(_joined(rays), space, steps // FOLDS, seed + fold, later)
         shut = _shut(hull, space, learned)
         for photo in photos[fold::FOLDS]:
-            seen = _Seen.of(*photo, space)
-            passes, *told_of = _looks_through(seen, space, volume, shut, points)
-            through += passes
-            for total, value in zip((explained, better, contrast), told_of, strict=True):
-                total += passes * value
+            told += _looks_through(_Seen.of(*photo, space), space, volume, shut, points)
+    through, explained, better, contrast = told
     enough = min(THROUGH, math.ceil(len(cameras) / 6))
     empty = (through >= enough) & (explained >= EXPLAINED * through)
     empty &= (better >= BETTER * through) & (contrast >= CONTRAST * through)
@@ -294,14 +291,22 @@ class _Seen:
         return image, first, cells.unbind(-1)
 
 
-@torch.no_grad()
-def _shut(
-    hull: Bool, space: _Space, photos: list[tuple[Camera, Tensor, Tensor]]
-) -> tuple[Tensor, Tensor]:
-    """The hull as a volume without hollows, and (n, n, n, 3) the mean colour seen on its surface.
+@dataclass(frozen=True)
+class _Shut:
+    """The simpler explanation: what photos see lies on the hull, with one colour for all photos.
 
-    The simpler explanation: what a photo sees lies on the hull, with one colour for all photos.
+    Args:
+        volume: (1, 4, n, n, n) the hull without hollows, as from `_fitted`; without colours.
+        colors: (n, n, n, 3) sRGB, the mean of what photos see on its surface.
     """
+
+    volume: Tensor
+    colors: Tensor
+
+
+@torch.no_grad()
+def _shut(hull: Bool, space: _Space, photos: list[tuple[Camera, Tensor, Tensor]]) -> _Shut:
+    """The hull closed, with the colours that these photos see on it."""
     volume = torch.zeros(1, 4, *hull.shape)
     volume[0, 0] = torch.where(torch.from_numpy(hull), OPAQUE, START_DENSITY)
     color, count = torch.zeros(*hull.shape, 3), torch.zeros(hull.shape)
@@ -313,27 +318,25 @@ def _shut(
         color.index_put_(index, seen.rays.color[there], accumulate=True)
         count.index_put_(index, torch.ones(int(there.sum())), accumulate=True)
     near = [functional.avg_pool3d(v[None], 3, 1, 1)[0] for v in (color.movedim(-1, 0), count[None])]
-    return volume, (near[0] / near[1].clamp(min=1e-6)).movedim(0, -1)
+    return _Shut(volume, (near[0] / near[1].clamp(min=1e-6)).movedim(0, -1))
 
 
 @torch.no_grad()
 def _looks_through(
-    seen: _Seen, space: _Space, volume: Tensor, shut: tuple[Tensor, Tensor], points: Tensor
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """(N,) of each point: whether the photo's surface lies behind it; whether the volume explains
-    the pixel; how much better its pattern fits than the closed hull's; and the pattern's contrast.
-
-    Args:
-        shut: as from `_shut`.
+    seen: _Seen, space: _Space, volume: Tensor, shut: _Shut, points: Tensor
+) -> Tensor:
+    """(4, N) of each point: whether the photo's surface lies behind it, and if so, whether the
+    volume explains the pixel, how much better its pattern fits than the closed hull's, and the
+    contrast of the photo's pattern.
     """
     image, first, cells = seen.first(space, volume)
-    _, _, places = seen.first(space, shut[0])
+    _, _, places = seen.first(space, shut.volume)
     pose, rays = torch.tensor(seen.camera.cam_from_world), seen.rays
     forward = rays.direction.double() @ pose[2, :3]
     depth = seen.picture((first * forward).float(), -1.0)
     good = ((image - rays.color).abs().amax(-1) < RESIDUAL) & ~space.ground[cells]
     own, opened, closed = (
-        _pattern(seen.picture(c, 1.0)) for c in (rays.color, image, shut[1][places])
+        _pattern(seen.picture(c, 1.0)) for c in (rays.color, image, shut.colors[places])
     )
     better = _likeness(own, opened) - _likeness(own, closed)
     px, py, z = (points @ pose[:3, :3].T + pose[:3, 3]).unbind(-1)
@@ -342,8 +345,10 @@ def _looks_through(
     inside = (z > 0) & (column >= 0) & (row >= 0) & (column < width) & (row < height)
     column, row = torch.where(inside, column, 0).long(), torch.where(inside, row, 0).long()
     passes = (inside & (depth[row, column] > z + SLACK * space.cell)).float()
-    fine, bold = seen.picture(good.float(), 0.0), _mean((own * own).sum(0)).sqrt()
-    return passes, fine[row, column], better[row, column], bold[row, column]
+    explained, contrast = seen.picture(good.float(), 0.0), _mean((own * own).sum(0)).sqrt()
+    figures = torch.stack([torch.ones_like(depth), explained, better, contrast])
+    found: Tensor = passes * figures[:, row, column]
+    return found
 
 
 def _mean(image: Tensor) -> Tensor:
