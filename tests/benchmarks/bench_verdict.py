@@ -125,13 +125,11 @@ def _true_figures(case: Case, mesh: Any, drawing: Any, masked: bool) -> dict[str
     from refdgs_pipe.evaluation.surface import score_surface
     from refdgs_pipe.evaluation.truth import read_true_mesh
 
-    names = {"capture": "cameras_gt.json"}
-    record = json.loads(
-        (truth_root(case) / names.get(case.source, "transforms_train.json")).read_text()
-    )
+    name = "cameras_gt.json" if case.photos else "transforms_train.json"
+    record = json.loads((truth_root(case) / name).read_text())
     around = [_camera(case, record, frame) for frame in record["frames"]][::2]
     truth = read_true_mesh(truth_root(case) / "gt_mesh.ply")
-    found = score_surface(mesh, around, truth, among_others=case.source == "capture")
+    found = score_surface(mesh, around, truth, among_others=case.photos)
     field, asset = [], []
     for frame in truth_frames(case):
         camera = _camera(case, record, frame)
@@ -151,9 +149,10 @@ def _true_figures(case: Case, mesh: Any, drawing: Any, masked: bool) -> dict[str
 
 def _camera(case: Case, record: dict[str, Any], frame: dict[str, Any]) -> Camera:
     pose = opencv_from_opengl(np.array(frame["transform_matrix"], float))
-    if case.source == "capture":
-        K = np.array([[record["fx"], 0, 320.0], [0, record["fy"], 240.0], [0, 0, 1.0]])
-        return Camera("true", 640, 480, K, pose).fitted(160)
+    if case.photos:
+        K = np.array([[record["fx"], 0, record["cx"]], [0, record["fy"], record["cy"]], [0, 0, 1]])
+        side = 320 if case.whole else 160
+        return Camera("true", record["width"], record["height"], K, pose).fitted(side)
     focal = 160 / np.tan(record["camera_angle_x"] / 2)
     K = np.array([[focal, 0, 160.0], [0, focal, 160.0], [0, 0, 1.0]])
     return Camera("true", 320, 320, K, pose).fitted(112)
@@ -164,7 +163,7 @@ def _true_photo(
 ) -> tuple[F32, NDArray[np.bool_]]:
     """The photo at the camera's size, over white if masked, and its object's pixels."""
     root = truth_root(case)
-    if case.source == "capture":
+    if case.photos:
         photo = _read(root / frame["file"])[..., :3]
         mask = _read(root / "masks" / f"{Path(frame['file']).stem}.png")
         mask = mask if mask.ndim == 2 else mask[..., 0]
@@ -174,7 +173,7 @@ def _true_photo(
         photo = photo * mask[..., None]
     size = (camera.width, camera.height)
     mask, photo = (cv2.resize(a, size, interpolation=cv2.INTER_AREA) for a in (mask, photo))
-    if case.source != "capture":
+    if not case.photos:
         photo = photo + (1 - mask[..., None])
     elif masked:
         photo = photo * mask[..., None] + (1 - mask[..., None])

@@ -2,9 +2,12 @@
 
 Each case is a folder of its own, damaged as its name says, and the settings of its run. The
 pictures of TRUTH views are in no case: what a result truly looks like is told by them.
+REFDGS_CAPTURES (folders as ../shared/generator writes them, with colons between) adds whole runs
+of further captures.
 """
 
 import json
+import os
 import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -28,6 +31,7 @@ CHEAP: dict[str, Any] = {
     "train.local_surfels": 800,
     "train.background_surfels": 3000,
     "train.look_steps": 40,
+    "train.volume_steps": 0,
     "train.environment_height": 32,
     "extract.voxel": 0.016,
     "extract.pixels": 112,
@@ -47,7 +51,8 @@ class Case:
     """One run.
 
     Args:
-        source: a scene, or "capture" for the photos of the kettle with their background.
+        source: a scene, "capture" for the photos of the kettle with their background, or the
+            name of another folder of `captures`.
         views: training photos that are kept; turned: degrees by which poses are wrong.
         masks: "", or how they are damaged: "wide", "narrow", "torn", "mixed", "given" (a capture).
         settings: besides CHEAP; whole: without CHEAP, as a user would run it.
@@ -64,6 +69,19 @@ class Case:
     settings: dict[str, Any] = field(default_factory=dict)
     whole: bool = False
     like: str = ""
+
+    @property
+    def photos(self) -> bool:
+        """Whether its pictures are photos with a background, and not renders on white."""
+        return self.source not in SCENES
+
+
+def captures() -> dict[str, Path]:
+    """The folders with photos and truth: name -> folder."""
+    given = [Path(text) for text in os.environ.get("REFDGS_CAPTURES", "").split(":") if text]
+    others = {folder.name: folder for folder in given}
+    flash = SHARED / "kettle_flash"
+    return {"capture": SHARED / "kettle_capture", flash.name: flash, **others}
 
 
 def cases() -> Iterator[Case]:
@@ -93,6 +111,7 @@ def cases() -> Iterator[Case]:
             yield Case(f"{scene}-turned-{turned:g}", scene, turned=turned, settings=_SHORT)
     yield _steps("kettle", 1200)
     yield _steps("mug", 15)
+    yield from _of_captures()
 
 
 _SHORT = {"train.iterations": 120}
@@ -105,6 +124,23 @@ def _steps(scene: str, steps: int) -> Case:
 def _whole(source: str, steps: int) -> Case:
     settings = {"train.iterations": steps}
     return Case(f"{source}-whole", source, 90, recipe="glossy", settings=settings, whole=True)
+
+
+def _of_captures() -> Iterator[Case]:
+    """Runs as users make them: photos without masks, as they are and damaged in turn."""
+    damage: tuple[dict[str, Any], ...] = (
+        {"views": 12},
+        {"turned": 0.5},
+        {"arc": 200.0},
+        {"settings": {"masks.find": "off"}},
+        {"settings": {"train.iterations": 100}},
+    )
+    names = ("few", "turned", "arc", "unmasked", "short")
+    for source in captures():
+        yield Case(f"{source}-preview", source, 90, whole=True)
+    for i, source in enumerate(captures()):
+        both = {"views": 90, **damage[i % len(damage)]}
+        yield Case(f"{source}-preview-{names[i % len(names)]}", source, whole=True, **both)
 
 
 def _of_masks() -> Iterator[Case]:
@@ -149,8 +185,7 @@ def settings_of(case: Case) -> dict[str, Any]:
     """Every setting of a case's run that is not the recipe's."""
     if case.whole:
         return case.settings
-    # a recipe that is no preview would look for a start for minutes
-    extra = {"train.volume_steps": 0, "train.max_side": 400} if case.recipe != "preview" else {}
+    extra = {"train.max_side": 400} if case.recipe != "preview" else {}
     wide = {"ingest.max_side": 160, "evaluate.max_side": 160} if case.source == "capture" else {}
     return {**CHEAP, **extra, **wide, **case.settings}
 
@@ -159,7 +194,7 @@ def write_case(case: Case, folder: Path) -> None:
     """The photos, masks and poses of a case, as a user would give them."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    if case.source == "capture":
+    if case.photos:
         _write_capture(case, folder)
     else:
         _write_scene(case, folder)
@@ -167,13 +202,12 @@ def write_case(case: Case, folder: Path) -> None:
 
 def truth_root(case: Case) -> Path:
     """Where the truth of a case lies."""
-    at = "kettle_capture" if case.source == "capture" else f"scenes/{case.source}"
-    return SHARED / at
+    return captures()[case.source] if case.photos else SHARED / "scenes" / case.source
 
 
 def truth_frames(case: Case) -> list[dict[str, Any]]:
     """The frames that no case uses."""
-    if case.source == "capture":
+    if case.photos:
         frames = _read(truth_root(case) / "cameras_gt.json")["frames"]
         return [f for i, f in enumerate(frames) if i % 12 == 7]
     frames = _read(truth_root(case) / "transforms_test.json")["frames"]
@@ -223,8 +257,9 @@ def _write_capture(case: Case, folder: Path) -> None:
             cv2.imwrite(str(folder / name), _damaged_mask(case.masks, mask, other, i))
             entry["mask_path"] = name
         entries.append(entry)
-    lens = {"fl_x": record["fx"], "fl_y": record["fy"], "cx": 320.0, "cy": 240.0}
-    named = {"test_filenames": [f["file"] for f in tests], "w": 640, "h": 480, "frames": entries}
+    lens = {"fl_x": record["fx"], "fl_y": record["fy"], "cx": record["cx"], "cy": record["cy"]}
+    size = {"w": record["width"], "h": record["height"]}
+    named = {"test_filenames": [f["file"] for f in tests], **size, "frames": entries}
     (folder / "transforms.json").write_text(json.dumps({**lens, **named}))
     if not case.masks:
         (folder / "masks").rmdir()
