@@ -12,6 +12,7 @@ from refdgs_pipe.camera import F64
 from refdgs_pipe.masking.beyond import shown_room
 from refdgs_pipe.masking.colours import colour_evidence
 from refdgs_pipe.masking.cut import cut, without_false_holes
+from refdgs_pipe.masking.odds import calibrated
 from refdgs_pipe.masking.shots import (
     F32,
     Bools,
@@ -26,6 +27,7 @@ from refdgs_pipe.masking.shots import (
 from refdgs_pipe.masking.solid import agreed, grid, pixels_of, silhouette
 from refdgs_pipe.masking.table import (
     BLUR,
+    LIMIT,
     Blur,
     Evidence,
     Ground,
@@ -67,7 +69,8 @@ LAST = Level(1024, 512, 112, (0.06, 0.04), 0.2, 0.5, (0.7, 1.3))
 TELLING = 0.6  # evidence below which the room cannot tell whether a cell is empty
 SURE = 4.0  # evidence against what cannot be the object
 WIDE = 2.2  # radii of the ball that the plane's picture reaches at first
-NARROW = 1.9  # reaches of the solid, later
+NARROW = 1.9  # reaches of the solid, later, at least
+BEHIND = 1.0  # of a point's height above the plane: how far behind it photos show the plane
 BAND = 0.02  # of a photo's longer side: how far an outline may be off
 COLOUR, PRIOR = 0.5, 0.75  # of the evidence: colours, and the solid's silhouette
 INNER = 0.7  # of the silhouette's prior inside, at last
@@ -85,7 +88,7 @@ class Found:
         masks: (h, w) in [0, 1] for each camera of the model.
         outlines: (h, w) the silhouettes of the solid.
         room: evidence beside the plane; None before it is looked for.
-        reach: of the solid from the ball's centre along the plane, world units.
+        reach: how far from the ball's centre photos show the plane behind the solid, world units.
         ball: round the solid, with room to spare.
     """
 
@@ -170,7 +173,7 @@ class _Worker:
         threads: int,
         walls: list[Wall],
     ) -> None:
-        self.normal, offset = plane
+        self.normal, self.offset = normal, offset = plane
         self.level, self.ball, self.threads = level, model.ball, threads
         self.inner = INNER if level is LAST else 1.0
         whole = whole_shots(views, model, level.side)
@@ -181,12 +184,12 @@ class _Worker:
             self.shots = [_cut(*pair, level.margin) for pair in pairs]
         self.weight = WEIGHT * min(1.0, 400 / max(self.shots[0].whole))
         self.band = [max(2, round(BAND * max(shot.whole))) for shot in self.shots]
-        reach = WIDE * model.ball.radius if found is None else NARROW * found.reach
-        ground = Ground.under(self.ball, self.normal, offset, reach)
+        reach = WIDE * model.ball.radius if found is None else found.reach
+        ground = Ground.under(self.ball, normal, offset, reach)
         covered = footprint(walls, ground, level.cells)
         self.table = Table(ground, level.cells, len(self.shots), threads, covered)
         within = found.ball if found is not None and level is LAST else self.ball
-        self.cells = grid(within, self.normal, offset, level.solid)
+        self.cells = grid(within, normal, offset, level.solid)
 
     def round(self, found: Found | None, deny: float) -> Found | None:
         """Cut every photo, and find the solid; None if there is none."""
@@ -241,12 +244,17 @@ class _Worker:
         clear = [~grown(o, 2 * band) for o, band in zip(outlines, self.band, strict=True)]
         table = self.table.found(self.shots, inner)
         planes = shown_plane(table, self.shots, clear, seldom=SELDOM, blur=self.level.blur)
+        told = calibrated(planes, self.shots, inner, clear, most=LIMIT)
+        planes = [
+            Evidence(np.where(self.table.drawn_cover(shot), before.value, now.value), now.known)
+            for shot, before, now in zip(self.shots, planes, told, strict=True)
+        ]
         if found.room is None:
             return planes
         rooms = self._parts([room.value for room in found.room])
-        told = self._parts([room.known.astype(np.float32) for room in found.room])
+        known = self._parts([room.known.astype(np.float32) for room in found.room])
         out = []
-        for plane, room, tells in zip(planes, rooms, told, strict=True):
+        for plane, room, tells in zip(planes, rooms, known, strict=True):
             beside = (tells > 0.9) & ~plane.known
             sure = beside & (smooth(np.abs(room), 1.0) > TELLING)
             out.append(Evidence(np.where(beside, room, plane.value), plane.known | sure))
@@ -306,6 +314,15 @@ class _Worker:
     def _parts_of(self, masks: list[Bools]) -> list[Bools]:
         return [part > 0.5 for part in self._parts([mask.astype(np.float32) for mask in masks])]
 
+    def _reach(self, points: F64) -> float:
+        """How far the plane's picture has to reach for a solid."""
+        flat = points - self.ball.center
+        flat -= (flat @ self.normal)[:, None] * self.normal
+        along = np.linalg.norm(flat, axis=1)
+        height = points @ self.normal - self.offset
+        wide = WIDE * self.ball.radius
+        return float(min(wide, max(NARROW * along.max(), (along + BEHIND * height).max())))
+
     def _placed(
         self,
         masks: list[F32],
@@ -315,14 +332,12 @@ class _Worker:
     ) -> Found:
         """The same for whole photos."""
         points = self.cells.points[solid]
-        flat = points - self.ball.center
-        flat -= (flat @ self.normal)[:, None] * self.normal
         lines = [o.astype(np.float32) for o in outlines]
         return Found(
             [shot.placed(mask) for shot, mask in zip(self.shots, masks, strict=True)],
             [shot.placed(line) > 0.5 for shot, line in zip(self.shots, lines, strict=True)],
             room,
-            float(np.linalg.norm(flat, axis=1).max()),
+            self._reach(points),
             _ball_of(points, self.cells.size),
         )
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation
+from scipy.ndimage import binary_dilation, gaussian_filter
 from torch import Tensor
 from torch.nn import functional
 
@@ -31,6 +31,9 @@ EXPLAINED = 0.5  # share of these in which the volume explains the pixel
 BETTER = 0.2  # correlation with the pattern there, above that of the closed hull
 CONTRAST = 0.06  # of that pattern, sRGB: what is plain matches whatever lies behind
 PATTERN = 7  # pixels, as large as cells, over which patterns are compared
+BROAD = (
+    4.0  # cells (sigma) over which the pattern is averaged: what is plain goes with its surround
+)
 FAINT = 0.02  # contrast that tells nothing
 OPAQUE = 20.0  # raw density of the closed hull
 
@@ -90,10 +93,10 @@ def hollow_cells(
     A grid of density and colour (as in direct voxel grid optimisation, Sun et al. 2022, without a
     network and without view dependence) starts all but empty and is fitted for some `steps` of
     random rays. Where most photos that look through a cell are explained by what lies behind, it is
-    a hollow, if the volume also shows the photo's pattern there, and better than the closed hull
-    with one colour for each place does. Each photo is judged by a volume that never saw it: a
+    a hollow, if the volume also shows the photo's pattern round there, and better than the closed
+    hull with one colour for each place does. Each photo is judged by a volume that never saw it: a
     volume can imitate a mirror in photos that it learns, but not in others. Mirrors are not
-    explained, and keep their hull; plain surfaces tell nothing, and keep it too.
+    explained, and keep their hull. Plain surfaces tell nothing: they go with what is round them.
 
     Args:
         hull: (n, n, n) cells that can hold anything.
@@ -122,13 +125,27 @@ def hollow_cells(
         shut = _shut(hull, space, learned)
         for photo in photos[fold::FOLDS]:
             told += _looks_through(_Seen.of(*photo, space), space, volume, shut, points)
-    through, explained, better, contrast = told
+    through, explained = told[:2]
+    better, contrast = _around(told, index, hull.shape)
     enough = min(THROUGH, math.ceil(len(cameras) / 6))
     empty = (through >= enough) & (explained >= EXPLAINED * through)
-    empty &= (better >= BETTER * through) & (contrast >= CONTRAST * through)
+    empty &= (better >= BETTER) & (contrast >= CONTRAST)
     out = np.zeros_like(hull)
     out[tuple(index[empty].T.numpy())] = True
     return out
+
+
+def _around(told: Tensor, index: Tensor, shape: tuple[int, ...]) -> Tensor:
+    """(2, N) the mean of the last two figures over the photos through the cells round each cell.
+
+    Args:
+        told: (4, N) sums over photos, as `_looks_through` gives them; index: (N, 3) of the cells.
+    """
+    grid = np.zeros((4, *shape), np.float32)
+    places = tuple(index.T.numpy())
+    grid[(slice(None), *places)] = told.numpy()
+    photos, *sums = (gaussian_filter(grid[k], BROAD)[places] for k in (0, 2, 3))
+    return torch.from_numpy(np.stack(sums) / np.maximum(photos, 1e-6))
 
 
 def _joined(parts: list[_Rays]) -> _Rays:

@@ -10,7 +10,7 @@ from refdgs_pipe.camera import Camera
 from refdgs_pipe.errors import Cancelled
 from refdgs_pipe.training import initial
 from refdgs_pipe.training.carving import boundary, empty_cells, needed_by_masks
-from refdgs_pipe.training.volume import hollow_cells
+from refdgs_pipe.training.volume import _around, hollow_cells
 
 THICK, HALF, DEPTH = 0.15, 0.7, 0.5
 
@@ -124,6 +124,24 @@ def test_a_volume_that_only_imitates_the_photos_it_learned_opens_nothing() -> No
     some = [list(part)[::5] for part in (cameras, colors, masks)]
     empty = hollow_cells(hull.cells, hull.ticks, hull.ball.center, *some, steps=400, seed=0)
     assert empty[hull.cells].mean() < 0.02
+
+
+def test_plain_cells_go_with_the_pattern_round_them() -> None:
+    """Figures of (photos, explained, better, contrast) for cells of a cube."""
+    index = torch.from_numpy(np.argwhere(np.ones((24, 24, 24), bool)))
+    told = torch.zeros(4, len(index))
+    told[:2] = 20.0
+    left = index[:, 0] < 12
+    told[2:, left] = 20 * 0.5  # a pattern, but for a plain patch in its middle
+    patch = ((index - torch.tensor([5, 12, 12])).abs() <= 1).all(1)
+    told[2:, patch] = 0
+    better, contrast = _around(told, index, (24, 24, 24))
+    assert float(better[patch].min()) > 0.3
+    assert float(better[index[:, 0] > 22].max()) < 0.05
+    assert torch.equal(better, contrast)
+    told[:, ~left] = 0  # no photo looks through these: they count for nothing
+    better, _ = _around(told, index, (24, 24, 24))
+    assert float(better[index[:, 0] == 11].mean()) == pytest.approx(0.5, abs=0.02)
 
 
 def test_what_photos_agree_on_at_the_ground_opens_nothing() -> None:
