@@ -43,7 +43,7 @@ class Verdict:
 
     Args:
         word: the worst of its findings' words.
-        score: of the marks, for comparing results: below 0 is bad, 1 and more is good.
+        score: mean of the two lowest marks, for comparing results: below 0 is bad, 1 is good.
         findings: worst first, notes last.
         draft: the recipe is meant for a first look.
     """
@@ -121,7 +121,7 @@ _ASPECTS = (
     _Aspect(
         "unseen photos beside those of the training",
         _gap,
-        6.0,
+        12.0,  # a flat mirror alone makes 7 dB: what it shows at a new place was never learned
         2.0,
         lambda e: _gap_words(_gap(e) or 0.0),
         "take more photos all round, with less than 15 degrees between neighbours",
@@ -191,6 +191,7 @@ _ASPECTS = (
         "look at the relit pictures in the report; a larger bake.size and longer training help",
     ),
 )
+SCORED = 2  # lowest marks: a result is as bad as the worst of it
 _RANK = {"poor": 0, "fair": 1, "good": 2, None: 3}
 
 
@@ -207,7 +208,7 @@ def judged(evidence: ObjectFigures, *, draft: bool = False) -> Verdict:
     if evidence.psnr is None:
         advice = "look at `refdgs-pipe render WORKSPACE`; give masks or more photos"
         found.append(Finding("the object", "poor", "no photo shows it", advice, -1.0))
-    marks = sorted(min(max(f.mark, -1.0), 1.5) for f in found)
+    marks = sorted(min(max(f.mark, -1.0), 1.5) for f in found)[:SCORED]
     score = sum(marks) / len(marks)
     found.sort(key=lambda f: (_RANK[f.word], f.mark))
     word = found[0].word or "poor"

@@ -151,11 +151,12 @@ def _camera(case: Case, record: dict[str, Any], frame: dict[str, Any]) -> Camera
     pose = opencv_from_opengl(np.array(frame["transform_matrix"], float))
     if case.photos:
         K = np.array([[record["fx"], 0, record["cx"]], [0, record["fy"], record["cy"]], [0, 0, 1]])
-        side = 320 if case.whole else 160
-        return Camera("true", record["width"], record["height"], K, pose).fitted(side)
+        return Camera("true", record["width"], record["height"], K, pose).fitted(
+            320 if case.whole else 160
+        )
     focal = 160 / np.tan(record["camera_angle_x"] / 2)
     K = np.array([[focal, 0, 160.0], [0, focal, 160.0], [0, 0, 1.0]])
-    return Camera("true", 320, 320, K, pose).fitted(112)
+    return Camera("true", 320, 320, K, pose).fitted(320 if case.whole else 112)
 
 
 def _true_photo(
