@@ -12,8 +12,7 @@ import numpy as np
 from refdgs_pipe.artifacts.sparse_model import Ball
 from refdgs_pipe.camera import F64
 from refdgs_pipe.geometry import homography_warp, through_plane
-from refdgs_pipe.masking.odds import calibrated
-from refdgs_pipe.masking.shots import F32, Bools, Shot, box_around, grown, mapped
+from refdgs_pipe.masking.shots import F32, Bools, Shot, box_around, mapped
 from refdgs_pipe.masking.table import LIMIT, Evidence, alike, smooth
 
 NEIGHBOURS = 5
@@ -23,8 +22,6 @@ MARGIN = 0.5  # of what is covered, that is judged round it
 BEHIND = 1.3  # radii of the ball behind its centre, where the background begins
 STRANGE, MOST_STRANGE = 0.5, 0.4  # evidence, and the share of the surroundings
 EVEN = 0.6  # likeness that speaks for neither
-MOST = 2.0  # log odds
-INSIDE = 0.02  # of a photo's longer side: so far from the outline pixels are counted
 
 
 @dataclass(frozen=True)
@@ -69,10 +66,7 @@ def shown_room(
     out = mapped(judge, range(len(shots)), threads)
     if _moves(out, cover):  # a turntable: the room turns about what is fixed in the poses
         return [Evidence(np.zeros_like(e.value), np.zeros_like(e.known)) for e in out]
-    reach = [max(1, round(INSIDE * max(shot.whole))) for shot in shots]
-    inner = [grown(c, -r) for c, r in zip(cover, reach, strict=True)]
-    outer = [~grown(c, r) for c, r in zip(cover, reach, strict=True)]
-    return calibrated(out, shots, inner, outer, most=MOST)
+    return out
 
 
 def _moves(evidence: list[Evidence], cover: list[Bools]) -> bool:
