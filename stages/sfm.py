@@ -26,21 +26,28 @@ class SfmParams(Params):
     )
 
 
-@stage(version=5, programs=("pycolmap",))
+@stage(version=6, programs=("pycolmap",))
 def sfm(views: Views, params: SfmParams, job: Job) -> Placement:
     """Place the photos, in harder ways where easier ones leave some out."""
-    from refdgs_pipe.child import call_in_child
+    from refdgs_pipe.child import ChildCrashed, call_in_child
+    from refdgs_pipe.sfm.known import needs_points, posed_photos
     from refdgs_pipe.sfm.pictures import plain_images
     from refdgs_pipe.sfm.poses import Effort
     from refdgs_pipe.sfm.solve import solve
 
-    def run(arguments: dict[str, Any]) -> Any:
-        target = "refdgs_pipe.sfm.colmap:reconstruct"
+    def run(arguments: dict[str, Any], what: str = "colmap:reconstruct") -> Any:
+        target = f"refdgs_pipe.sfm.{what}"
         return call_in_child(target, arguments, stop=job.stop, on_progress=job.progress)
 
+    effort = Effort(params.max_side, params.max_features, params.first_octave, job.threads)
+    if views.has_known_poses and needs_points(views):
+        try:
+            poses = run(posed_photos(views, effort, job.scratch), "sights:triangulate")
+        except ChildCrashed as error:
+            return Placement(None, notes=(f"no points were found: {error}",), known=True)
+        return Placement(poses, known=True)
     if views.has_known_poses:
         return Placement(None, known=True)
-    effort = Effort(params.max_side, params.max_features, params.first_octave, job.threads)
     pictures = plain_images(views, job.scratch)
     given: dict[str, Any] = {"masks": params.masks, "line_mm": params.mat_line}
     placement = solve(views, pictures, effort, scratch=job.scratch, run=run, **given)

@@ -1,6 +1,6 @@
 """What the database and the reconstruction say about each photo's place. Child process only."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -69,6 +69,13 @@ def poses_of(model: Any, mapper: str, database: Path, known: Known) -> Poses:
         database: with all pairs, also those that were held out.
     """
     model = pycolmap.Reconstruction() if model is None else model
+    found = arrays_of(model, mapper)
+    evidence = evidence_of(model, database, known, found.cam_from_world, found.tracks, found.points)
+    return replace(found, evidence=evidence)
+
+
+def arrays_of(model: Any, mapper: str) -> Poses:
+    """A reconstruction as arrays, without evidence."""
     point_ids = sorted(model.point3D_ids())
     index = {point_id: i for i, point_id in enumerate(point_ids)}
     images = sorted((model.image(i) for i in model.reg_image_ids()), key=lambda image: image.name)
@@ -95,7 +102,6 @@ def poses_of(model: Any, mapper: str, database: Path, known: Known) -> Poses:
         tracks=tracks,
         error_px=float(model.compute_mean_reprojection_error()),
         mapper=mapper,
-        evidence=evidence_of(model, database, known, poses, tracks, xyz),
     )
 
 

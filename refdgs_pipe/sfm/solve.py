@@ -19,7 +19,6 @@ from refdgs_pipe.sfm.poses import Effort
 from refdgs_pipe.sfm.trust import standing
 from refdgs_pipe.wording import counted
 
-DOUBLED_UP_TO = 1000  # px: of smaller photos the finest features are most of what there is
 GOOD = 0.9  # share of photos trusted above which the slow rungs are not worth their time
 HOPE = 0.25  # share of photos trusted below which adapting features will not reach enough
 SLOW_FEATURES = 4096  # of a photo, on the rung that adapts each feature
@@ -69,9 +68,7 @@ def solve(
     files = [f"{view.name}.png" for view in views.items]
     mat = seen_in_files(pictures.folder, files, threads=effort.threads)
     shots = shots_of(views, pictures.sizes)
-    if effort.first_octave is None:
-        is_small = max(max(size) for size in pictures.sizes.values()) <= DOUBLED_UP_TO
-        effort = replace(effort, first_octave=-int(is_small))
+    effort = effort.for_photos(pictures.sizes)
     so_far = _SoFar(len(views.items))
     for rung in _rungs(effort, masks, is_masked=views.background != "photo"):
         if not rung.only_from <= so_far.share < rung.only_below:
