@@ -7,19 +7,17 @@ from refdgs_pipe.pipeline.stage import Job, stage
 from refdgs_pipe.sfm.settings import GateParams
 
 
-@stage(version=5)
+@stage(version=6)
 def gate(views: Views, placement: Placement, params: GateParams, job: Job) -> SparseModel:
     """Keep the photos whose places can be trusted; poses that came with them are kept."""
     from refdgs_pipe.sfm.gate import check_trusted, examine
-    from refdgs_pipe.sfm.known import doubt_of_points, model_from_known_poses
+    from refdgs_pipe.sfm.known import model_from_known_poses
     from refdgs_pipe.sfm.report import figures, overridden, warnings_about
     from refdgs_pipe.sfm.two_points import with_distance
 
     gaps: tuple[str, ...] = ()
     if placement.known:
         model = model_from_known_poses(views, placement.poses)
-        doubt = None if placement.poses is None else doubt_of_points(placement.poses)
-        gaps = (doubt,) if doubt else ()
     else:
         judgement = examine(views, placement, least=params.min_trusted)
         for check in judgement.checks:
@@ -32,8 +30,6 @@ def gate(views: Views, placement: Placement, params: GateParams, job: Job) -> Sp
         job.measure(name, value, unit)
     for note in placement.notes:
         job.measure("note", note)
-    given = placement.known and placement.poses is not None
-    said = () if given else warnings_about(views, model)
-    for text in (*said, *gaps):
+    for text in (*warnings_about(views, model, known=placement.known), *gaps):
         job.warn(text)
     return model

@@ -30,7 +30,7 @@ class SfmParams(Params):
 def sfm(views: Views, params: SfmParams, job: Job) -> Placement:
     """Place the photos, in harder ways where easier ones leave some out."""
     from refdgs_pipe.child import ChildCrashed, call_in_child
-    from refdgs_pipe.sfm.known import needs_points, posed_photos
+    from refdgs_pipe.sfm.known import needs_points, posed_photos, without_points
     from refdgs_pipe.sfm.pictures import plain_images
     from refdgs_pipe.sfm.poses import Effort
     from refdgs_pipe.sfm.solve import solve
@@ -40,14 +40,14 @@ def sfm(views: Views, params: SfmParams, job: Job) -> Placement:
         return call_in_child(target, arguments, stop=job.stop, on_progress=job.progress)
 
     effort = Effort(params.max_side, params.max_features, params.first_octave, job.threads)
-    if views.has_known_poses and needs_points(views):
-        try:
-            poses = run(posed_photos(views, effort, job.scratch), "sights:triangulate")
-        except ChildCrashed as error:
-            return Placement(None, notes=(f"no points were found: {error}",), known=True)
-        return Placement(poses, known=True)
     if views.has_known_poses:
-        return Placement(None, known=True)
+        poses = None
+        if needs_points(views):
+            try:
+                poses = run(posed_photos(views, effort, job.scratch), "sights:triangulate")
+            except (ChildCrashed, ImportError, RuntimeError) as error:
+                job.warn(without_points(error))
+        return Placement(poses, known=True)
     pictures = plain_images(views, job.scratch)
     given: dict[str, Any] = {"masks": params.masks, "line_mm": params.mat_line}
     placement = solve(views, pictures, effort, scratch=job.scratch, run=run, **given)

@@ -3,10 +3,11 @@
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from refdgs_pipe.masking.shots import F32, Bools, Shot
-from refdgs_pipe.masking.table import LIMIT, Evidence, smooth
+from refdgs_pipe.masking.shots import Bools, Shot
+from refdgs_pipe.masking.table import LIMIT, Evidence, contrast
 
 CONTRASTS = (0.02, 0.06, 0.15)  # of log brightness, between which values are judged apart
+SIGMA = 1.8  # pixels over which contrast is measured
 STEP, BROAD = 0.2, 1.0  # of values that are counted together; steps over which counts are spread
 RARE = 0.01  # share of the pixels that any value is given
 LEAST_PIXELS = 500
@@ -17,8 +18,6 @@ def calibrated(
     shots: list[Shot],
     inner: list[Bools],
     outer: list[Bools],
-    *,
-    most: float,
 ) -> list[Evidence]:
     """The same evidence, where the capture bears it out; less or none where it does not.
 
@@ -30,9 +29,8 @@ def calibrated(
     Args:
         inner, outer: (H, W) where each photo shows the object, and where it does not, as far as
             is known.
-        most: limit of the log odds.
     """
-    levels = [np.digitize(_contrast(shot.logs.mean(-1)), CONTRASTS) for shot in shots]
+    levels = [np.digitize(contrast(shot.logs.mean(-1), SIGMA), CONTRASTS) for shot in shots]
     steps = [np.round((e.value + LIMIT) / STEP).astype(np.int64) for e in evidence]
     counts = np.zeros((2, len(CONTRASTS) + 1, round(2 * LIMIT / STEP) + 1))
     for one, level, step, *parts in zip(evidence, levels, steps, inner, outer, strict=True):
@@ -41,7 +39,7 @@ def calibrated(
             np.add.at(count, (level[there], step[there]), 1.0)
     total = counts.sum(-1, keepdims=True)
     shares = gaussian_filter1d(counts, BROAD, axis=-1, mode="nearest") / np.maximum(total, 1)
-    odds = np.log((shares[1] + RARE) / (shares[0] + RARE)).clip(-most, most)
+    odds = np.log((shares[1] + RARE) / (shares[0] + RARE)).clip(-LIMIT, LIMIT)
     enough = total.min(0)[:, 0] >= LEAST_PIXELS
     out = []
     for one, level, step in zip(evidence, levels, steps, strict=True):
@@ -50,9 +48,3 @@ def calibrated(
         value = np.where(told * one.value > 0, np.sign(told) * least, 0)
         out.append(Evidence(np.where(one.known, value, 0).astype(np.float32), one.known))
     return out
-
-
-def _contrast(image: F32) -> F32:
-    """(H, W) standard deviation over a few pixels."""
-    mean = smooth(image, 1.8)
-    return np.asarray(np.sqrt(np.maximum(smooth(image * image, 1.8) - mean * mean, 0)), np.float32)

@@ -27,7 +27,6 @@ from refdgs_pipe.masking.shots import (
 from refdgs_pipe.masking.solid import agreed, grid, pixels_of, silhouette
 from refdgs_pipe.masking.table import (
     BLUR,
-    LIMIT,
     Blur,
     Evidence,
     Ground,
@@ -173,7 +172,7 @@ class _Worker:
         threads: int,
         walls: list[Wall],
     ) -> None:
-        self.normal, self.offset = normal, offset = plane
+        self.normal, self.offset = plane
         self.level, self.ball, self.threads = level, model.ball, threads
         self.inner = INNER if level is LAST else 1.0
         whole = whole_shots(views, model, level.side)
@@ -185,11 +184,11 @@ class _Worker:
         self.weight = WEIGHT * min(1.0, 400 / max(self.shots[0].whole))
         self.band = [max(2, round(BAND * max(shot.whole))) for shot in self.shots]
         reach = WIDE * model.ball.radius if found is None else found.reach
-        ground = Ground.under(self.ball, normal, offset, reach)
+        ground = Ground.under(self.ball, *plane, reach)
         covered = footprint(walls, ground, level.cells)
         self.table = Table(ground, level.cells, len(self.shots), threads, covered)
         within = found.ball if found is not None and level is LAST else self.ball
-        self.cells = grid(within, normal, offset, level.solid)
+        self.cells = grid(within, *plane, level.solid)
 
     def round(self, found: Found | None, deny: float) -> Found | None:
         """Cut every photo, and find the solid; None if there is none."""
@@ -244,7 +243,7 @@ class _Worker:
         clear = [~grown(o, 2 * band) for o, band in zip(outlines, self.band, strict=True)]
         table = self.table.found(self.shots, inner)
         planes = shown_plane(table, self.shots, clear, seldom=SELDOM, blur=self.level.blur)
-        told = calibrated(planes, self.shots, inner, clear, most=LIMIT)
+        told = calibrated(planes, self.shots, inner, clear)
         planes = [
             Evidence(np.where(self.table.drawn_cover(shot), before.value, now.value), now.known)
             for shot, before, now in zip(self.shots, planes, told, strict=True)

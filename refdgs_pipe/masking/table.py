@@ -284,8 +284,15 @@ def same_texture(one: F32, other: F32, sigma: float) -> tuple[F32, F32]:
     v2 = smooth(other * other, sigma) - m2 * m2
     both = smooth(one * other, sigma) - m1 * m2
     agree = both / np.sqrt(np.maximum(v1, 1e-4) * np.maximum(v2, 1e-4))
-    texture = np.clip(np.sqrt(np.maximum(v2, 0)) / TEXTURE, 0, 1)
+    texture = np.clip(contrast(other, sigma) / TEXTURE, 0, 1)
     return agree.astype(np.float32), texture.astype(np.float32)
+
+
+def contrast(image: F32, sigma: float) -> F32:
+    """(H, W) standard deviation over a few pixels."""
+    mean = smooth(image, sigma)
+    variance = smooth(image * image, sigma) - mean * mean
+    return np.asarray(np.sqrt(np.maximum(variance, 0)), np.float32)
 
 
 def smooth(image: F32, sigma: float) -> F32:

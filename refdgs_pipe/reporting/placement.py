@@ -28,7 +28,7 @@ def placement(facts: Facts, _: Drawing) -> Html:
     """The ladder's rungs, the gate's checks with advice, notes, and the overlay."""
     views, found = facts.load(Views), facts.load(Placement)
     if found.known:
-        return tag("p", "The places came with the photos; nothing had to be found.")
+        return tag("p", _given(found))
     judgement = judged(facts, views, found)
     model = _current_model(facts) or judgement.model
     return joined(
@@ -37,6 +37,16 @@ def placement(facts: Facts, _: Drawing) -> Html:
         notes_list([*found.notes, *judgement.gaps]),
         checks_table(judgement.checks),
         overlay(views, model),
+    )
+
+
+def _given(found: Placement) -> str:
+    """What is said of places that came with the photos."""
+    if found.poses is None:
+        return "The places came with the photos; nothing had to be found."
+    return (
+        f"The places came with the photos. {len(found.poses.points)} points were found in them, "
+        f"{found.poses.error_px:.2f} px from where the photos show them on average."
     )
 
 

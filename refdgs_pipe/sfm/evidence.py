@@ -100,7 +100,7 @@ def arrays_of(model: Any, mapper: str) -> Poses:
         points=xyz,
         colors=np.array([point.color for point in points], np.uint8).reshape(-1, 3),
         tracks=tracks,
-        error_px=float(model.compute_mean_reprojection_error()),
+        error_px=float(model.compute_mean_reprojection_error()) if point_ids else 0.0,
         mapper=mapper,
     )
 

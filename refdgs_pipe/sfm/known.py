@@ -17,7 +17,6 @@ from refdgs_pipe.sfm.poses import Effort, Posed
 from refdgs_pipe.sfm.support import level_up, off_planes
 
 Z_IS_UP_DEG = 40.0
-FEW_POINTS = 20  # seen by a photo, where features fit the poses
 
 
 def needs_points(views: Views) -> bool:
@@ -49,14 +48,12 @@ def posed_photos(views: Views, effort: Effort, scratch: Path) -> dict[str, Any]:
     }
 
 
-def doubt_of_points(poses: Poses) -> str | None:
-    """What to say where features hardly fit the known poses."""
-    seen = np.median([len(track) for track in poses.tracks.values()] or [0])
-    if seen >= FEW_POINTS:
-        return None
+def without_points(error: Exception) -> str:
+    """What to say where features could not be matched; the poses are kept."""
     return (
-        f"few features of the photos fit the poses that came with them (half of the photos show "
-        f"{int(seen)} or fewer): the poses may be wrong. Without them, run on the photos alone"
+        f"no points were found for the poses that came with the photos ({error}): where the object "
+        "is follows from the cameras alone. Masks of the object help, or gate.ball_center and "
+        "gate.ball_radius"
     )
 
 

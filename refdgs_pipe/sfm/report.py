@@ -50,15 +50,23 @@ def figures(model: SparseModel, poses: Poses | None) -> list[tuple[str, float | 
     return out
 
 
-def warnings_about(views: Views, model: SparseModel) -> list[str]:
-    """The photos that found no place, and whether the others hang together by little."""
+def warnings_about(views: Views, model: SparseModel, *, known: bool) -> list[str]:
+    """The photos that found no place, and whether the others hang together by little.
+
+    Args:
+        known: whether the poses came with the photos.
+    """
     said = {view.name: view.source or view.name for view in views.items}
     weak = []
     seen = [len(points) for points in model.tracks.values()]
     if seen and np.median(seen) < FEW_POINTS:
+        half = f"half of the photos show {int(np.median(seen))} or fewer"
         weak.append(
-            f"the photos share few features (half of them under {int(np.median(seen)) + 1}): their "
-            "places are uncertain. Closer steps between photos help, and a textured ground"
+            f"few points fit the poses that came with the photos ({half}): the poses may be wrong. "
+            "Run on the photos without the file of poses, or give masks of the object"
+            if known
+            else f"the photos share few features ({half}): their places are uncertain. Closer "
+            "steps between photos help, and a textured ground"
         )
     if not model.lost:
         return weak

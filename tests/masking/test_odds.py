@@ -6,7 +6,7 @@ import pytest
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.masking.odds import calibrated
 from refdgs_pipe.masking.shots import Shot
-from refdgs_pipe.masking.table import Evidence
+from refdgs_pipe.masking.table import LIMIT, Evidence
 
 SIDE = 60
 INNER = np.zeros((SIDE, SIDE), bool)
@@ -25,17 +25,17 @@ def told(inside: float, outside: float, known: np.ndarray | None = None) -> np.n
     value = np.where(INNER, np.float32(inside), np.float32(outside))
     evidence = Evidence(value, np.ones_like(INNER) if known is None else known)
     shots, parts = [plain_shot()] * 3, ([INNER] * 3, [~INNER] * 3)
-    return calibrated([evidence] * 3, shots, *parts, most=2.0)[1].value
+    return calibrated([evidence] * 3, shots, *parts)[1].value
 
 
 def test_what_is_met_everywhere_tells_nothing() -> None:
     assert np.abs(told(1.0, 1.0)).max() < 0.2
 
 
-def test_what_is_met_only_outside_stays_up_to_the_limit() -> None:
-    new = told(-1.0, 2.5)
+def test_what_is_met_only_outside_keeps_its_value() -> None:
+    new = told(-1.0, LIMIT)
     assert np.allclose(new[INNER], -1.0)
-    assert np.allclose(new[~INNER], 2.0)
+    assert np.allclose(new[~INNER], LIMIT)
 
 
 def test_evidence_never_changes_its_sign() -> None:
