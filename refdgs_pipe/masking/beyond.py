@@ -12,7 +12,7 @@ import numpy as np
 from refdgs_pipe.artifacts.sparse_model import Ball
 from refdgs_pipe.camera import F64
 from refdgs_pipe.geometry import homography_warp, through_plane
-from refdgs_pipe.masking.shots import F32, Bools, Shot, box_around, mapped
+from refdgs_pipe.ground.shots import F32, Bools, Shot, box_around, mapped
 from refdgs_pipe.masking.table import LIMIT, Evidence, alike, smooth
 
 NEIGHBOURS = 5

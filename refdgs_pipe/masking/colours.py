@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from refdgs_pipe.masking.shots import F32, Bools, Shot, grown
+from refdgs_pipe.ground.shots import F32, Bools, Shot, grown
 
 BINS = 20  # along each axis of Lab
 RARE = 2e-5  # probability of a colour that was never seen

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from scipy.ndimage import binary_dilation, find_objects, label
 
-from refdgs_pipe.masking.shots import F32
+from refdgs_pipe.ground.shots import F32
 
 STEPS = 100
 STEP = 0.35  # of the primal-dual method; below 1 / sqrt(8)

@@ -9,7 +9,7 @@ from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import Camera, Lens
 from refdgs_pipe.files.images import write_png
-from refdgs_pipe.masking.shots import F32, resized
+from refdgs_pipe.ground.shots import F32, resized
 
 
 def write_masks(folder: Path, views: Views, model: SparseModel, masks: list[F32]) -> None:

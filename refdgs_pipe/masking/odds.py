@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from refdgs_pipe.masking.shots import Bools, Shot
+from refdgs_pipe.ground.shots import Bools, Shot
 from refdgs_pipe.masking.table import LIMIT, Evidence, contrast
 
 CONTRASTS = (0.02, 0.06, 0.15)  # of log brightness, between which values are judged apart

@@ -9,11 +9,8 @@ import numpy as np
 from refdgs_pipe.artifacts.sparse_model import Ball, SparseModel
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import F64
-from refdgs_pipe.masking.beyond import shown_room
-from refdgs_pipe.masking.colours import colour_evidence
-from refdgs_pipe.masking.cut import cut, without_false_holes
-from refdgs_pipe.masking.odds import calibrated
-from refdgs_pipe.masking.shots import (
+from refdgs_pipe.ground.plane import Ground
+from refdgs_pipe.ground.shots import (
     F32,
     Bools,
     Shot,
@@ -24,12 +21,15 @@ from refdgs_pipe.masking.shots import (
     resized,
     whole_shots,
 )
+from refdgs_pipe.masking.beyond import shown_room
+from refdgs_pipe.masking.colours import colour_evidence
+from refdgs_pipe.masking.cut import cut, without_false_holes
+from refdgs_pipe.masking.odds import calibrated
 from refdgs_pipe.masking.solid import agreed, grid, pixels_of, silhouette
 from refdgs_pipe.masking.table import (
     BLUR,
     Blur,
     Evidence,
-    Ground,
     Table,
     shown_plane,
     smooth,

@@ -8,7 +8,7 @@ from scipy.ndimage import label
 
 from refdgs_pipe.artifacts.sparse_model import Ball
 from refdgs_pipe.camera import F64
-from refdgs_pipe.masking.shots import Bools, Shot
+from refdgs_pipe.ground.shots import Bools, Shot
 
 REACH = 1.1  # radii of the ball that the cells cover
 SHOWN = 0.6  # share of the photos that must show a cell

@@ -12,10 +12,8 @@ import cv2
 import numpy as np
 import torch
 
-from refdgs_pipe.artifacts.sparse_model import Ball
-from refdgs_pipe.camera import F64, Camera
-from refdgs_pipe.geometry import homography_warp
-from refdgs_pipe.masking.shots import F32, Bools, Shot, mapped
+from refdgs_pipe.ground.plane import Ground
+from refdgs_pipe.ground.shots import F32, Bools, Shot, mapped
 
 TOLERANCES = (0.25, 0.15)  # of log colour, within which photos agree: at first, then
 CANDIDATES = 12  # photos whose colour is proposed where it is not known who sees the plane
@@ -31,37 +29,6 @@ LEAST_PIXELS = 500
 Blur = tuple[float, float]
 """Pixels (sigma) over which likeness of colour and of texture are averaged."""
 BLUR: Blur = (1.3, 1.8)
-
-
-@dataclass(frozen=True)
-class Ground:
-    """A plane in the world, with axes: x = origin + s a + t b.
-
-    Args:
-        radius: how far the picture reaches from the origin, world units.
-    """
-
-    origin: F64
-    a: F64
-    b: F64
-    radius: float
-
-    @classmethod
-    def under(cls, ball: Ball, normal: F64, offset: float, radius: float) -> "Ground":
-        """The plane normal . x = offset, with the origin below the ball's centre."""
-        other = np.array([1.0, 0, 0]) if abs(normal[0]) < 0.9 else np.array([0, 1.0, 0])
-        a = np.cross(normal, other)
-        a /= np.linalg.norm(a)
-        origin = ball.center - (normal @ ball.center - offset) * normal
-        return cls(origin, a, np.cross(normal, a), radius)
-
-    def homography(self, camera: Camera, cells: int) -> F64:
-        """(3, 3) from the picture's coordinates to the photo's, both with centres at +0.5."""
-        step = 2 * self.radius / cells
-        corner = self.origin - self.radius * (self.a + self.b)
-        columns = np.stack([self.a * step, self.b * step, corner])
-        P = camera.K @ camera.cam_from_world[:3]
-        return np.asarray(P @ np.concatenate([columns, [[0], [0], [1]]], 1).T)
 
 
 @dataclass(frozen=True)
@@ -137,10 +104,7 @@ class Table:
             shot = shots[i]
             shown = shot.valid if hidden is None else shot.valid & ~hidden[i]
             logs = np.where(shown[..., None], shot.logs, np.float32(np.nan))
-            H = self.ground.homography(shot.camera, n)
-            flat = homography_warp(logs, H, n, n, np.nan)
-            y, x = np.mgrid[0:n, 0:n] + 0.5
-            flat[H[2, 0] * x + H[2, 1] * y + H[2, 2] <= 1e-9] = np.nan
+            flat = self.ground.flattened(logs, shot.camera, n)
             out[i] = flat - (self._basis @ self.gains[i])[..., None]
 
         mapped(flatten, range(len(shots)), self.threads)
@@ -185,25 +149,13 @@ class Table:
 
     def drawn_cover(self, shot: Shot) -> Bools:
         """(H, W) the pixels that show where the object stands, at its foot or before it."""
-        back = np.asarray(np.linalg.inv(self.ground.homography(shot.camera, self.cells)))
-        size = (shot.camera.width, shot.camera.height)
-        return homography_warp(self.covered.astype(np.float32), back, *size, 0.0) > 0.5
+        return self.ground.drawn(self.covered.astype(np.float32), shot.camera, 0.0) > 0.5
 
     def drawn(self, i: int, shot: Shot) -> tuple[F32, F32]:
         """(H, W, 3) the plane as photo i would show it, NaN where it has none; (H, W) its share."""
+        colour = (self.colour + (self._basis @ self.gains[i])[..., None]).astype(np.float32)
         camera = shot.camera
-        H = self.ground.homography(camera, self.cells)
-        back = np.asarray(np.linalg.inv(H), np.float64)
-        size = (camera.width, camera.height)
-        colour = self.colour + (self._basis @ self.gains[i])[..., None]
-        picture = homography_warp(colour.astype(np.float32), back, *size, np.nan)
-        share = homography_warp(self.share, back, *size, 0.0)
-        y, x = np.mgrid[0 : size[1], 0 : size[0]] + 0.5
-        u, v, w = (back[k, 0] * x + back[k, 1] * y + back[k, 2] for k in range(3))
-        behind = (H[2, 0] * u + H[2, 1] * v) / np.where(w == 0, 1e-12, w) + H[2, 2] <= 0
-        picture[behind] = np.nan
-        share[behind] = 0
-        return picture, share
+        return self.ground.drawn(colour, camera), self.ground.drawn(self.share, camera, 0.0)
 
 
 def shown_plane(

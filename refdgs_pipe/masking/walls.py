@@ -13,8 +13,9 @@ import numpy as np
 import torch
 
 from refdgs_pipe.camera import F64
-from refdgs_pipe.masking.shots import F32, Bools
-from refdgs_pipe.masking.table import Ground, Table
+from refdgs_pipe.ground.plane import Ground
+from refdgs_pipe.ground.shots import F32, Bools
+from refdgs_pipe.masking.table import Table
 
 TURN_DEG = 1.5  # between the directions of lines that are tried
 SECTOR_DEG = 30.0  # between the directions from which pictures of the plane are made

@@ -13,6 +13,9 @@ class GateParams(Params):
     min_trusted: float = Field(
         0.7, ge=0, le=1, description="share of the photos that need a trusted place"
     )
+    ground: bool = Field(
+        True, description="lay the photos on the print of the ground, which makes poses sharper"
+    )
     up: Point | None = Field(None, description="up axis, a direction; none finds it")
     ball_center: Point | None = Field(None, description="object ball's centre, world units")
     ball_radius: float | None = Field(None, gt=0, description="object ball's radius, world units")

@@ -13,10 +13,10 @@ from refdgs_pipe.artifacts.sparse_model import Ball, SparseModel
 from refdgs_pipe.artifacts.views import Exif, View, Views
 from refdgs_pipe.camera import Camera, Lens
 from refdgs_pipe.errors import CorruptError, InputError
+from refdgs_pipe.ground.shots import Shot
 from refdgs_pipe.masking.cut import cut
 from refdgs_pipe.masking.files import distorted, write_masks
 from refdgs_pipe.masking.rounds import agreement, object_masks
-from refdgs_pipe.masking.shots import Shot
 from refdgs_pipe.masking.solid import agreed, grid, silhouette
 
 BALL = Ball(np.array([0.0, 0.0, 0.45]), 1.0)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from refdgs_pipe.camera import Camera
+from refdgs_pipe.ground.shots import Shot
 from refdgs_pipe.masking.odds import calibrated
-from refdgs_pipe.masking.shots import Shot
 from refdgs_pipe.masking.table import LIMIT, Evidence
 
 SIDE = 60

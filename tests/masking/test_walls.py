@@ -4,8 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
+from refdgs_pipe.ground.plane import Ground
 from refdgs_pipe.masking import walls as walls_module
-from refdgs_pipe.masking.table import Ground, Table
+from refdgs_pipe.masking.table import Table
 from refdgs_pipe.masking.walls import Wall, footprint, mirror_walls
 
 CELLS, REACH, PHOTOS = 256, 2.2, 24

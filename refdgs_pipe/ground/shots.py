@@ -46,7 +46,7 @@ class Shot:
     @property
     def logs(self) -> F32:
         """(H, W, 3) logarithms of the colour, in which a brighter light is a shift."""
-        return np.asarray(np.log(self.rgb.clip(1 / 255, 1) + LOG_FLOOR), np.float32)
+        return logs_of(self.rgb)
 
     def placed(self, image: F32) -> F32:
         """(h, w) an image of the part in the whole photo; 0 outside."""
@@ -54,6 +54,11 @@ class Shot:
         left, right, top, bottom = self.box
         out[top:bottom, left:right] = image
         return out
+
+
+def logs_of(rgb: F32) -> F32:
+    """(H, W, 3) logarithms of sRGB colour in [0, 1]."""
+    return np.asarray(np.log(rgb.clip(1 / 255, 1) + LOG_FLOOR), np.float32)
 
 
 def whole_shots(views: Views, model: SparseModel, side: int) -> Iterator[Shot]:

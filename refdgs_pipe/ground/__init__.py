@@ -1,0 +1,1 @@
+"""The plane that an object stands on, as the photos show it."""
