@@ -31,6 +31,7 @@ ALIKE, BETTER = 0.6, 0.4  # correlation of a mirror image; more than with what o
 EVEN = 0.4  # median correlation of the parts of a mirror image: it is like in most of them
 BLOCKS = 6  # parts along the line; there are two across
 ALONE = 0.75  # correlation of a mirror without another at a right angle or back to back
+AMONG = 0.5  # correlation of a mirror with two others at a right angle or back to back
 SQUARE_ALIKE, SQUARE_BETTER = 0.4, 0.3  # the same beside a mirror at a right angle
 SQUARE = 0.08  # cosine or sine of the angle between mirrors that counts as right
 ON = 0.35  # correlation at which a mirror goes on, sideways and in depth
@@ -99,10 +100,22 @@ def mirror_walls(table: Table, seen: F32, centers: F64, radius: float) -> list[W
     for wall in found:
         if not any(_same(wall, other, APART * radius) for other in walls):
             walls.append(wall)
-    sure = [w for w in walls if w.likeness >= ALIKE and w.gain >= BETTER and w.even >= EVEN]
-    sure = [w for w in sure if w.likeness >= ALONE or any(_square(w, other) for other in sure)]
+    sure = _sure(walls)
     kept = [w for w in walls if w in sure or any(_square(w, other) for other in sure)]
     return [_met(wall, kept, LONG * radius) for wall in kept]
+
+
+def _sure(walls: list[Wall]) -> list[Wall]:
+    """Mirrors that stand out alone, with one other at a right angle, or less with two others."""
+    fair = [w for w in walls if w.likeness >= AMONG and w.gain >= BETTER and w.even >= EVEN]
+    clear = [w for w in fair if w.likeness >= ALIKE]
+    return [
+        wall
+        for wall in fair
+        if wall.likeness >= ALONE
+        or (wall in clear and any(_square(wall, other) for other in clear))
+        or sum(_square(wall, other) for other in fair) >= 2
+    ]
 
 
 def footprint(walls: list[Wall], ground: Ground, n: int) -> Bools:

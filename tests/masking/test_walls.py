@@ -126,6 +126,8 @@ def test_what_stands_before_another_wall_is_not_covered() -> None:
         ({0: 0.8, 90: 0.8}, 0.2, []),  # all of the likeness lies in one place
         ({0: 0.65, 45: 0.65}, 0.9, []),
         ({0: 0.65, 180: 0.65, 90: 0.45, 30: 0.45}, 0.9, [0, 90, 180]),
+        ({0: 0.55, 90: 0.65}, 0.9, []),
+        ({0: 0.55, 90: 0.58, 180: 0.52}, 0.9, [0, 90, 180]),
     ],
 )
 def test_a_weak_likeness_counts_only_beside_another_mirror(
