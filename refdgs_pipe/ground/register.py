@@ -80,14 +80,16 @@ def registered(
 
     Args:
         plane: unit normal and offset, world.
-        progress: told the rounds done and their number; may raise.
+        progress: told the steps done and their number; may raise.
         threads: photos that are worked on at a time; the result does not depend on it.
     """
     groups = sorted({_key(model.lenses[name]) for name in model.names})
-    frames = []
-    for camera in model.cameras:
-        lens = groups.index(_key(model.lenses[camera.name]))
-        frames.append(_frame(views, model, camera, lens))
+    progress(0, ROUNDS + 1)
+
+    def frame(camera: Camera) -> _Frame:
+        return _frame(views, model, camera, groups.index(_key(model.lenses[camera.name])))
+
+    frames = mapped(frame, model.cameras, threads)
     ground = Ground.under(model.ball, *plane, REACH * model.ball.radius)
     poses = np.stack([camera.cam_from_world for camera in model.cameras])
     at_first = State(poses, np.zeros((len(groups), 2)))
@@ -95,14 +97,14 @@ def registered(
     first: list[float] | None = None
     free_lenses = True
     for done in range(ROUNDS):
-        progress(done, ROUNDS)
+        progress(done + 1, ROUNDS + 1)
         sights = _sights(frames, state, ground, threads)
         first = _medians(sights, state) if first is None else first
         fixed, cost = adjusted(sights, state, free_lenses=False)
         free, less = adjusted(sights, state, free_lenses=True)
         free_lenses = free_lenses and less < BETTER * cost
         state = free if free_lenses else fixed
-    progress(ROUNDS, ROUNDS)
+    progress(ROUNDS + 1, ROUNDS + 1)
     assert first is not None
     after = _medians(sights, state)
     fits = np.array(after) < MISS
