@@ -11,6 +11,7 @@ from PIL import Image
 from refdgs_pipe.artifacts.capture import Capture
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.views import Views
+from refdgs_pipe.camera import F64
 from refdgs_pipe.pipeline.catalog import load_stages
 from refdgs_pipe.pipeline.events import Event, Measured, Warned
 from refdgs_pipe.pipeline.stage import Job
@@ -35,6 +36,17 @@ def disc(height: int = 48, width: int = 64) -> np.ndarray:
     """(H, W) uint8 mask: 255 in a disc in the middle."""
     y, x = np.mgrid[0:height, 0:width]
     return np.where(np.hypot(x - width / 2, y - height / 2) < height / 3, 255, 0).astype(np.uint8)
+
+
+def looking(eye: F64, at: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> F64:
+    """(4, 4) cam_from_world of a level camera at `eye` (3,) that looks at a point."""
+    forward = (np.array(at) - eye) / np.linalg.norm(np.array(at) - eye)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward])
+    pose[:3, 3] = -pose[:3, :3] @ eye
+    return pose
 
 
 def write_photos(folder: Path, count: int = 3, suffix: str = "jpg") -> list[Path]:

@@ -110,7 +110,7 @@ def registered(
     fits = np.array(after) < MISS
     if fits.mean() < MOST:
         return None
-    if not free_lenses:
+    if not state.lenses.any():
         state = State(np.where(fits[:, None, None], state.poses, at_first.poses), state.lenses)
     names = model.names
     told = {n: (a, b) for n, a, b, fit in zip(names, first, after, fits, strict=True) if fit}

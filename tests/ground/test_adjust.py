@@ -2,6 +2,7 @@
 
 import cv2
 import numpy as np
+from captures import looking
 
 from refdgs_pipe.ground.adjust import Sight, State, _moved, _project, adjusted, misses, seen
 
@@ -12,14 +13,7 @@ NONE = np.zeros(2)
 def pose(around: float, up: float) -> np.ndarray:
     """Looks at the origin from 4 away; degrees."""
     a, e = np.radians(around), np.radians(up)
-    eye = 4 * np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
-    forward = -eye / 4
-    right = np.cross(forward, [0, 0, 1.0])
-    right /= np.linalg.norm(right)
-    out = np.eye(4)
-    out[:3, :3] = np.stack([right, np.cross(forward, right), forward])
-    out[:3, 3] = -out[:3, :3] @ eye
-    return out
+    return looking(4 * np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)]))
 
 
 def test_derivatives_match_finite_differences() -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from captures import looking
 from PIL import Image
 
 from refdgs_pipe.artifacts.sparse_model import Ball, SparseModel
@@ -25,12 +26,7 @@ def camera(i: int) -> Camera:
     """One of twelve, all round, every third low."""
     around, up = np.radians(30 * i), np.radians((14, 35, 55)[i % 3])
     eye = 3.4 * np.array([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)])
-    forward = (BALL.center - eye) / np.linalg.norm(BALL.center - eye)
-    right = np.cross(forward, [0, 0, 1.0])
-    right /= np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward])
-    pose[:3, 3] = -pose[:3, :3] @ eye
+    pose = looking(eye, (0.0, 0.0, 0.4))
     K = np.array([[400.0, 0, SIZE[0] / 2], [0, 400.0, SIZE[1] / 2], [0, 0, 1]])
     return Camera(f"IMG_{i:02d}", *SIZE, K, pose)
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from captures import looking
 from PIL import Image
 
 from refdgs_pipe.artifacts.masks import Masks
@@ -29,12 +30,7 @@ def camera(i: int, count: int) -> Camera:
     """One of a ring at two heights, 3.2 away."""
     around, up = 2 * np.pi * i / count, np.radians(28 if i % 2 else 50)
     eye = 3.2 * np.array([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)])
-    forward = (BALL.center - eye) / np.linalg.norm(BALL.center - eye)
-    right = np.cross(forward, UP)
-    right /= np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward])
-    pose[:3, 3] = -pose[:3, :3] @ eye
+    pose = looking(eye, (0.0, 0.0, 0.45))
     K = np.array([[200.0, 0, SIZE[0] / 2], [0, 200.0, SIZE[1] / 2], [0, 0, 1]])
     return Camera(f"IMG_{i:02d}", *SIZE, K, pose)
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from captures import Stages, write_photos
+from captures import Stages, looking, write_photos
 
 from refdgs_pipe.artifacts.placement import Attempt, Evidence, Placement, Poses
 from refdgs_pipe.artifacts.views import Views
@@ -15,17 +15,6 @@ from refdgs_pipe.sfm.alike import Agreement
 from refdgs_pipe.sfm.gate import check_trusted, examine, gaps_of
 
 COUNT, POINTS, SIDE, FOCAL = 12, 400, 64, 80.0
-
-
-def looking(center: F64) -> F64:
-    """(4, 4) cam_from_world of a level camera there that looks at the origin."""
-    forward = -center / np.linalg.norm(center)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward])
-    pose[:3, 3] = -pose[:3, :3] @ center
-    return pose
 
 
 def ring(turns: list[float], distance: float = 4.0) -> list[F64]:
