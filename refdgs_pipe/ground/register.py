@@ -18,6 +18,7 @@ from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import F64, Camera, Lens
 from refdgs_pipe.ground.adjust import Sight, State, adjusted, misses
 from refdgs_pipe.ground.plane import Ground
+from refdgs_pipe.ground.relief import Places, lifted, relief
 from refdgs_pipe.ground.shots import F32, Bools, logs_of, mapped
 
 U8 = NDArray[np.uint8]
@@ -159,18 +160,29 @@ def _sights(frames: list[_Frame], state: State, ground: Ground, threads: int) ->
     ]
     picture = _picture(images, cameras, ground, threads)
 
+    def found(i: int) -> tuple[F64, F64] | None:
+        return _found(picture, images[i], cameras[i], ground)
+
+    pairs = mapped(found, range(len(frames)), threads)
+    radius = ground.radius / REACH
+    places = [
+        Places.of(ground, camera.center, pair[0], ground.points(camera, pair[1]), radius)
+        for pair, camera in zip(pairs, cameras, strict=True)
+        if pair is not None
+    ]
+    bumps = relief(places, REACH) if places else None
+
     def sight(i: int) -> Sight:
-        frame, camera = frames[i], cameras[i]
-        found = _found(picture, images[i], camera, ground)
-        if found is None:
+        frame, camera, pair = frames[i], cameras[i], pairs[i]
+        if pair is None or bumps is None:
             return _sight(frame, None)
-        points, pixels = found
+        points, pixels = lifted(ground, pair[0], bumps, radius), pair[1]
         middle, lens = camera.K[:2, 2], state.lenses[frame.lens]
         x = (pixels - middle) / np.diag(camera.K)[:2]
         bent = 1 + lens[1] * (x * x).sum(1, keepdims=True)
         return _sight(frame, (points, middle + bent * (pixels - middle)))
 
-    return mapped(sight, range(len(frames)), threads)
+    return [sight(i) for i in range(len(frames))]
 
 
 def _seen_through(frame: _Frame, camera: Camera, lens: F64) -> F32:
