@@ -48,6 +48,7 @@ class Level:
         denials: for each round the share of the photos that may deny a cell.
         margin: round the object that photos are cut to, a share of its size.
         growth: cells by which a mask is widened before it denies.
+        weight: of the evidence against the outline, for a pixel of a photo 400 pixels long.
         blur: of the evidence of the plane.
     """
 
@@ -57,14 +58,15 @@ class Level:
     denials: tuple[float, ...]
     margin: float
     growth: float
+    weight: float
     blur: Blur = BLUR
 
 
 LEVELS = (
-    Level(200, 256, 64, (0.25, 0.15), 0.0, 0.9),
-    Level(400, 384, 96, (0.08, 0.06), 0.5, 0.9),
+    Level(200, 256, 64, (0.25, 0.15), 0.0, 0.9, 0.4),
+    Level(400, 384, 96, (0.08, 0.06), 0.5, 0.9, 0.4),
 )
-LAST = Level(1024, 512, 112, (0.08, 0.06), 0.2, 0.25, (0.5, 1.3))
+LAST = Level(1024, 512, 112, (0.1, 0.08), 0.2, 0.0, 0.25, (0.5, 1.3))
 TELLING = 0.6  # evidence below which the room cannot tell whether a cell is empty
 SURE = 4.0  # evidence against what cannot be the object
 WIDE = 2.2  # radii of the ball that the plane's picture reaches at first
@@ -73,7 +75,6 @@ BEHIND = 1.0  # of a point's height above the plane: how far behind it photos sh
 BAND = 0.02  # of a photo's longer side: how far an outline may be off
 COLOUR, PRIOR = 0.5, 0.75  # of the evidence: colours, and the solid's silhouette
 INNER = 0.7  # of the silhouette's prior inside, at last
-WEIGHT = 0.25  # of the evidence against the outline, for a pixel of a photo 400 pixels long
 FREE = 0.3  # of a mask, above which it denies nothing
 LEAST_CELLS = 50
 FIRST_SELDOM, SELDOM = (0.25, 0.5), (0.1, 0.4)
@@ -181,7 +182,7 @@ class _Worker:
         else:
             pairs = zip(whole, found.outlines, strict=True)
             self.shots = [_cut(*pair, level.margin) for pair in pairs]
-        self.weight = WEIGHT * min(1.0, 400 / max(self.shots[0].whole))
+        self.weight = level.weight * min(1.0, 400 / max(self.shots[0].whole))
         self.band = [max(2, round(BAND * max(shot.whole))) for shot in self.shots]
         reach = WIDE * model.ball.radius if found is None else found.reach
         ground = Ground.under(self.ball, *plane, reach)
