@@ -66,7 +66,7 @@ LEVELS = (
     Level(200, 256, 64, (0.25, 0.15), 0.0, 0.9, 0.4),
     Level(400, 384, 96, (0.08, 0.06), 0.5, 0.9, 0.4),
 )
-LAST = Level(1024, 512, 112, (0.1, 0.08), 0.2, 0.0, 0.25, (0.5, 1.3))
+LAST = Level(1024, 512, 112, (0.08, 0.06), 0.2, 0.25, 0.25, (0.5, 1.3))
 TELLING = 0.6  # evidence below which the room cannot tell whether a cell is empty
 SURE = 4.0  # evidence against what cannot be the object
 WIDE = 2.2  # radii of the ball that the plane's picture reaches at first
