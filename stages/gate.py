@@ -39,7 +39,7 @@ def gate(views: Views, placement: Placement, params: GateParams, job: Job) -> Sp
 
 
 def _on_the_ground(views: Views, model: SparseModel, job: Job) -> SparseModel:
-    """The model after its photos were laid on the plane that the object stands on."""
+    """The model with poses refined on the plane that the object stands on."""
     import numpy as np
 
     from refdgs_pipe.ground.register import registered
@@ -48,11 +48,11 @@ def _on_the_ground(views: Views, model: SparseModel, job: Job) -> SparseModel:
     plane = support_plane(model.points, model.ball.center, model.ball.radius, model.up)
     if plane is None:
         return model
-    told = partial(job.progress, "laying photos on the ground")
+    told = partial(job.progress, "refining poses on the ground plane")
     found = registered(views, model, (plane.normal, plane.offset), told, job.threads)
     if found is None:
         return model
     before, after = np.median(list(found.misses.values()), axis=0)
-    job.measure("photos laid on the ground", f"{len(found.misses)} of {len(model.cameras)}")
-    job.measure("distance from the ground's print", f"{before:.2f} px, then {after:.2f} px")
+    job.measure("poses refined on the ground plane", f"{len(found.misses)} of {len(model.cameras)}")
+    job.measure("distance from the ground's texture", f"{before:.2f} px, then {after:.2f} px")
     return found.model

@@ -1,4 +1,4 @@
-"""Poses and lenses that fit what the photos show of known points on a plane."""
+"""Poses and lenses that fit where the photos show known places of the ground."""
 
 from dataclasses import dataclass
 
@@ -7,8 +7,8 @@ import numpy as np
 
 from refdgs_pipe.camera import F64
 
-ON_PLANE = 320.0  # weight of all matches of a photo together: as 80 of half a pixel
-HELD = 4.0  # weight of all sparse points of a photo together
+PLACES, PLACE_PX = 80, 0.5  # places of a photo that count fully, more share this weight; spread
+HELD, HELD_PX = 4, 1.0  # the same of its sparse points
 SOFT = 1.0  # px: larger misses count less and less (Cauchy)
 FOCAL, RADIAL = 0.005, 0.05  # spread of what structure from motion misses of a lens
 STEPS = 30
@@ -20,7 +20,7 @@ class Sight:
 
     Args:
         K: (3, 3).
-        points: (n, 3) on the plane, world; pixels: (n, 2) where the photo shows them.
+        points: (n, 3) on the ground, world; pixels: (n, 2) where the photo shows them.
         held: (m, 3) sparse points; at: (m, 2) where the photo showed them at first.
         lens: index of its lens.
     """
@@ -51,12 +51,16 @@ def adjusted(sights: list[Sight], state: State, *, free_lenses: bool) -> tuple[S
     """Levenberg-Marquardt over all poses and the lenses that they share; also the cost reached.
 
     Each pose touches only its own photo, so the lenses are solved for first (Schur complement).
+
+    Args:
+        sights: one for each pose.
+        free_lenses: whether the lenses are adjusted too.
     """
-    cost = sum(_cost(sights, state))
+    cost = _cost(sights, state)
     damping = 1e-4
     for _ in range(STEPS):
         tried = _step(sights, state, damping, free_lenses)
-        new = sum(_cost(sights, tried))
+        new = _cost(sights, tried)
         if new < cost:
             small = cost - new < 1e-6 * cost
             state, cost, damping = tried, new, damping / 5
@@ -75,8 +79,13 @@ def seen(sight: Sight, pose: F64, lens: F64, points: F64) -> F64:
 
 
 def misses(sight: Sight, pose: F64, lens: F64) -> F64:
-    """(n,) pixels between where the plane's points are and where they should be."""
+    """(n,) pixels between where a photo shows its places and where it should."""
     return np.asarray(np.linalg.norm(seen(sight, pose, lens, sight.points) - sight.pixels, axis=1))
+
+
+def bending(x: F64, lens: F64) -> F64:
+    """(..., 1) by which a lens with more k1 stretches x (..., 2), at depth 1."""
+    return np.asarray(1 + lens[1] * (x * x).sum(-1, keepdims=True))
 
 
 def _project(K: F64, pose: F64, lens: F64, points: F64) -> tuple[F64, F64, F64]:
@@ -86,9 +95,9 @@ def _project(K: F64, pose: F64, lens: F64, points: F64) -> tuple[F64, F64, F64]:
     x = p[:, :2] / z[:, None]
     focal = np.array([K[0, 0], K[1, 1]])
     r2 = (x * x).sum(1)
-    longer, bent = 1 + lens[0], 1 + lens[1] * r2
-    pixels = K[:2, 2] + focal * longer * bent[:, None] * x
-    by_x = 2 * lens[1] * x[:, :, None] * x[:, None, :] + bent[:, None, None] * np.eye(2)
+    longer, bent = 1 + lens[0], bending(x, lens)
+    pixels = K[:2, 2] + focal * longer * bent * x
+    by_x = 2 * lens[1] * x[:, :, None] * x[:, None, :] + bent[:, :, None] * np.eye(2)
     by_x *= (focal * longer)[:, None]
     x_by_p = np.zeros((len(p), 2, 3))
     x_by_p[:, 0, 0] = x_by_p[:, 1, 1] = 1 / z
@@ -97,24 +106,26 @@ def _project(K: F64, pose: F64, lens: F64, points: F64) -> tuple[F64, F64, F64]:
     turn[:, 0, 1], turn[:, 0, 2], turn[:, 1, 2] = p[:, 2], -p[:, 1], p[:, 0]
     turn -= turn.transpose(0, 2, 1)
     p_by_pose = np.concatenate([turn, np.broadcast_to(np.eye(3), turn.shape)], 2)
-    by_lens = np.stack([focal * bent[:, None] * x, focal * longer * r2[:, None] * x], 2)
+    by_lens = np.stack([focal * bent * x, focal * longer * r2[:, None] * x], 2)
     return pixels, by_x @ x_by_p @ p_by_pose, by_lens
 
 
 def _weights(sight: Sight) -> tuple[float, float]:
-    return ON_PLANE / max(len(sight.points), 80), HELD / max(len(sight.held), 4)
+    """Of each place, and of each sparse point."""
+    place = min(1.0, PLACES / max(len(sight.points), 1)) / PLACE_PX**2
+    return place, min(1.0, HELD / max(len(sight.held), 1)) / HELD_PX**2
 
 
-def _cost(sights: list[Sight], state: State) -> list[float]:
-    """Of each photo, and of the lenses."""
-    out = []
+def _cost(sights: list[Sight], state: State) -> float:
+    """Squared misses of all photos, weighed, and those of the lenses by their spread."""
+    total = float(((state.lenses / (FOCAL, RADIAL)) ** 2).sum())
     for sight, pose in zip(sights, state.poses, strict=True):
         lens = state.lenses[sight.lens]
         on, held = _weights(sight)
         off = misses(sight, pose, lens) / SOFT
         apart = seen(sight, pose, lens, sight.held) - sight.at
-        out.append(float(on * SOFT**2 * np.log1p(off * off).sum() + held * (apart**2).sum()))
-    return [*out, float(((state.lenses / (FOCAL, RADIAL)) ** 2).sum())]
+        total += float(on * SOFT**2 * np.log1p(off * off).sum() + held * (apart**2).sum())
+    return total
 
 
 def _step(sights: list[Sight], state: State, damping: float, free_lenses: bool) -> State:

@@ -1,8 +1,8 @@
-"""Photos laid on the picture of the plane that all of them show, which makes their poses sharper.
+"""Poses refined by image registration: each photo against the texture of the ground plane.
 
-Few features are found on a plane that is seen at a grazing angle, so structure from motion can put
-low photos several pixels off. The whole print on the plane tells more: each photo is compared with
-the plane as the other photos show it, and moved to fit.
+Few features are matched on a plane that is seen at a grazing angle, so structure from motion can
+put low photos several pixels off. The texture of the plane tells more: each photo is compared with
+the plane as the other photos show it, and its pose is changed to fit.
 """
 
 from collections.abc import Callable
@@ -16,7 +16,7 @@ from refdgs_pipe.artifacts.photos import load_photo
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import F64, Camera, Lens
-from refdgs_pipe.ground.adjust import Sight, State, adjusted, misses
+from refdgs_pipe.ground.adjust import Sight, State, adjusted, bending, misses
 from refdgs_pipe.ground.plane import Ground
 from refdgs_pipe.ground.relief import Places, lifted, relief
 from refdgs_pipe.ground.shots import F32, Bools, logs_of, mapped
@@ -46,7 +46,8 @@ class Registered:
 
     Args:
         model: with the new poses and lenses.
-        misses: name -> median miss in px of 800 before, and after; of the photos that were moved.
+        misses: name -> median distance of its places from where they should be, before and after,
+            px of a photo of 800 px; of the photos that fit.
     """
 
     model: SparseModel
@@ -75,7 +76,7 @@ def registered(
     progress: Callable[[int, int], None],
     threads: int = 1,
 ) -> Registered | None:
-    """Poses and lenses that fit the plane's print, or None where photos do not agree on one.
+    """Poses and lenses that fit the plane's texture, or None where photos do not agree on it.
 
     Photos that do not show the plane, or do not fit it, keep their poses.
 
@@ -83,6 +84,9 @@ def registered(
         plane: unit normal and offset, world.
         progress: told the steps done and their number; may raise.
         threads: photos that are worked on at a time; the result does not depend on it.
+
+    Raises:
+        CorruptError: a photo is missing or damaged.
     """
     groups = sorted({_key(model.lenses[name]) for name in model.names})
     progress(0, ROUNDS + 1)
@@ -179,8 +183,7 @@ def _sights(frames: list[_Frame], state: State, ground: Ground, threads: int) ->
         points, pixels = lifted(ground, pair[0], bumps, radius), pair[1]
         middle, lens = camera.K[:2, 2], state.lenses[frame.lens]
         x = (pixels - middle) / np.diag(camera.K)[:2]
-        bent = 1 + lens[1] * (x * x).sum(1, keepdims=True)
-        return _sight(frame, (points, middle + bent * (pixels - middle)))
+        return _sight(frame, (points, middle + bending(x, lens) * (pixels - middle)))
 
     return [sight(i) for i in range(len(frames))]
 
@@ -191,8 +194,8 @@ def _seen_through(frame: _Frame, camera: Camera, lens: F64) -> F32:
     if not lens.any():
         return image
     rays = camera.pixel_rays()[..., :2]
-    bent = 1 + lens[1] * (rays * rays).sum(-1, keepdims=True)
-    grid = (camera.K[:2, 2] + np.diag(camera.K)[:2] * bent * rays - 0.5).astype(np.float32)
+    focal = np.diag(camera.K)[:2]
+    grid = (camera.K[:2, 2] + focal * bending(rays, lens) * rays - 0.5).astype(np.float32)
     out = cv2.remap(
         image, grid[..., 0], grid[..., 1], cv2.INTER_LINEAR, borderValue=(float("nan"),) * 4
     )

@@ -50,10 +50,11 @@ def posed_photos(views: Views, effort: Effort, scratch: Path) -> dict[str, Any]:
 
 def without_points(error: Exception) -> str:
     """What to say where features could not be matched; the poses are kept."""
+    reason = (str(error) or type(error).__name__).splitlines()[0]  # not the child's whole log
     return (
-        f"no points were found for the poses that came with the photos ({error}): where the object "
-        "is follows from the cameras alone. Masks of the object help, or gate.ball_center and "
-        "gate.ball_radius"
+        f"no points were found for the poses that came with the photos ({reason}): where the "
+        "object is follows from the cameras alone. Masks of the object help, or "
+        "gate.ball_center and gate.ball_radius"
     )
 
 

@@ -14,7 +14,7 @@ class GateParams(Params):
         0.7, ge=0, le=1, description="share of the photos that need a trusted place"
     )
     ground: bool = Field(
-        True, description="lay the photos on the print of the ground, which makes poses sharper"
+        True, description="refine poses with the texture of the plane that the object stands on"
     )
     up: Point | None = Field(None, description="up axis, a direction; none finds it")
     ball_center: Point | None = Field(None, description="object ball's centre, world units")
