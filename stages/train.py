@@ -12,7 +12,7 @@ from refdgs_pipe.pipeline.stage import Job, stage
 from refdgs_pipe.training.settings import TrainParams
 
 
-@stage(version=13, programs=("pymeshlab", "open3d-cpu"))
+@stage(version=14, programs=("pymeshlab", "open3d-cpu"))
 def train(
     views: Views, masks: Masks, model: SparseModel, params: TrainParams, job: Job
 ) -> SurfelField:

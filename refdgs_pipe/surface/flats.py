@@ -32,7 +32,8 @@ CURVED = np.radians(6.5)  # root mean square tilt; a curved part that ends at TI
 BEYOND = 0.03  # diameters outside the part, where the surface has to be bent
 BENT = np.cos(np.radians(25.0))
 BENT_SHARE = 0.7  # of the places there
-HELD, SPREAD = 0.02, 0.5  # share of the part that outlines have to hold; their spread, by its own
+HELD = 0.1  # of an edge's length all round the part: the least that outlines have to hold
+SPREAD = 0.5  # of the places that outlines hold, by the part's own
 TOLD = 0.05  # of `disagreement`, in views, from which on colours tell the depth
 INWARDS = 0.75  # weight of places inside the plane; those outside it have the rest
 UNHELD = 0.02  # weight of a place that no outline holds, against one outline
@@ -223,10 +224,15 @@ def _is_flat(net: _Net, part: Bools, normal: F64, held: F64, told: F64, diameter
 
 
 def _is_held(net: _Net, part: Bools, held: F64) -> bool:
-    """Whether outlines hold enough of a part, in both directions, to tell its plane."""
+    """Whether outlines hold enough of a part, in both directions, to tell its plane.
+
+    Outlines may hold no more than its border, which is a smaller share of the area the larger the
+    part is and the finer the mesh.
+    """
     area = net.area[part]
     firm = area * (held[part] > 0)
-    if firm.sum() < HELD * area.sum():
+    border = net.step * 2 * np.sqrt(np.pi * area.sum())  # as if the part were round
+    if firm.sum() < HELD * border:
         return False
     away = net.points[part] - np.average(net.points[part], axis=0, weights=area)
     sizes, across = np.linalg.eigh(np.cov(away.T, aweights=area))

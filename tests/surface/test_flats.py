@@ -19,9 +19,9 @@ def mesh_of(shape: o3d.geometry.TriangleMesh) -> TriangleMesh:
     )
 
 
-def box() -> TriangleMesh:
-    """A box of 12,288 triangles with its middle at 0."""
-    shape = o3d.geometry.TriangleMesh.create_box(*(2 * HALF)).subdivide_midpoint(5)
+def box(fineness: int = 5) -> TriangleMesh:
+    """A box of 12 * 4 ** fineness triangles with its middle at 0."""
+    shape = o3d.geometry.TriangleMesh.create_box(*(2 * HALF)).subdivide_midpoint(fineness)
     return mesh_of(shape.translate(-HALF))
 
 
@@ -60,6 +60,19 @@ def test_walls_between_edges_that_outlines_hold_become_planes(height: float) -> 
     assert off_walls(mesh).max() > 0.019
     assert off_walls(done).max() < 0.006  # outlines hold places that bulge by up to 0.008
     assert np.array_equal(done.faces, mesh.faces)
+
+
+@pytest.mark.parametrize("fineness", [5, 6])
+def test_a_few_held_places_all_round_are_enough_on_any_mesh(fineness: int) -> None:
+    mesh = bulged(box(fineness), 0.02)
+    gap = np.sort(HALF - np.abs(box(fineness).vertices), axis=1)[:, 1]
+    ring = (gap > 0.03) & (gap < 0.03 + 0.8 / 2**fineness)  # about one row of vertices
+    held = np.where(ring & (np.random.default_rng(3).random(len(gap)) < 0.2), 3.0, 0.0)
+    told = np.zeros(len(held))
+    assert len(flats_of(mesh, held, told, limit=LIMIT, diameter=DIAMETER)) == 6
+    held[mesh.vertices[:, 0] > -0.3] = 0  # one side only: the plane may turn about it
+    found = flats_of(mesh, held, told, limit=LIMIT, diameter=DIAMETER)
+    assert all(abs(flat.normal[0]) > 0.9 for flat in found)
 
 
 def test_outlines_bound_the_plane_from_outside() -> None:
