@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse.csgraph import connected_components, dijkstra
 
 from refdgs_pipe.artifacts.mesh import TriangleMesh
 from refdgs_pipe.received import links_of
@@ -28,11 +28,14 @@ SMOOTH = 0.01  # of the ball's diameter, by which normals are smoothed before th
 TILT = np.cos(np.radians(12.0))  # between a place's normal and the plane's
 NEAR = 1.5  # limits that a place of the part may lie off its plane
 LEAST_AREA = 0.015  # of the mesh's area
-CURVED = np.radians(6.5)  # root mean square tilt; a curved part that ends at TILT has 6.9 or more
-BEYOND = 0.03  # diameters outside the part, where the surface has to be bent
+# Root mean square tilt: a strip of a tube that ends at TILT has 6.9 or more, a dome 8.5. Where a
+# strip is WIDE, its tube is so wide that it does not bend away at the strip's border.
+CURVED, CURVED_WIDE = np.radians(6.5), np.radians(7.5)
+WIDE = 0.2  # of the ball's diameter
+BEYOND = 0.04  # diameters from the border, within which the surface has to end or be bent
 BENT = np.cos(np.radians(25.0))
 BENT_SHARE = 0.7  # of the places there
-HELD = 0.1  # of an edge's length all round the part: the least that outlines have to hold
+HELD = 0.05  # of an edge's length all round the part: the least that outlines have to hold
 SPREAD = 0.5  # of the places that outlines hold, by the part's own
 TOLD = 0.05  # of `disagreement`, in views, from which on colours tell the depth
 INWARDS = 0.75  # weight of places inside the plane; those outside it have the rest
@@ -113,13 +116,15 @@ class _Net:
     """A mesh as a net of V vertices.
 
     Args:
-        beside: (V, V) 1 for neighbours; area: (V,) a third of the faces around.
+        beside: (V, V) 1 for neighbours; lengths: (V, V) of the edges, world units.
+        area: (V,) a third of the faces around.
         smooth: (V, 3) unit normals, smoothed; rim: (V,) on an open rim.
         step: median length of an edge, world units.
     """
 
     points: F64
     beside: csr_array
+    lengths: csr_array
     area: F64
     smooth: F64
     rim: Bools
@@ -129,23 +134,26 @@ class _Net:
     def of(cls, mesh: TriangleMesh, diameter: float) -> "_Net":
         points, count = mesh.vertices.astype(np.float64), len(mesh.vertices)
         corners = mesh.faces.astype(np.int64)
-        ends = np.sort(np.stack([corners, np.roll(corners, -1, 1)], -1).reshape(-1, 2), axis=1)
-        links, times = np.unique(ends, axis=0, return_counts=True)
+        pairs = np.sort(np.stack([corners, np.roll(corners, -1, 1)], -1).reshape(-1, 2), axis=1)
+        links, times = np.unique(pairs, axis=0, return_counts=True)
         a, b = links.T
         ones = np.ones(2 * len(links))
-        beside = csr_array((ones, (np.r_[a, b], np.r_[b, a])), shape=(count, count))
+        ends = (np.r_[a, b], np.r_[b, a])
+        beside = csr_array((ones, ends), shape=(count, count))
+        apart = np.linalg.norm(points[a] - points[b], axis=1)
+        lengths = csr_array((np.r_[apart, apart], ends), shape=(count, count))
         p, q, r = (points[corners[:, i]] for i in range(3))
         faces = np.linalg.norm(np.cross(q - p, r - p), axis=1) / 2
         thirds = np.bincount(corners.ravel(), np.repeat(faces / 3, 3), minlength=count)
         area = np.asarray(thirds, np.float64)
-        step = float(np.median(np.linalg.norm(points[a] - points[b], axis=1)))
+        step = float(np.median(apart))
         normals: F64 = mesh.vertex_normals().astype(np.float64) * area[:, None]
         for _ in range(max(1, round(SMOOTH * diameter / step))):
             normals += np.asarray(beside @ normals, np.float64)
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
         rim = np.zeros(count, bool)
         rim[links[times == 1]] = True
-        return cls(points, beside, area, normals, rim, step)
+        return cls(points, beside, lengths, area, normals, rim, step)
 
     def outwards(self, part: Bools) -> F64:
         """(3,) normal of the plane of a part, on the outside of the surface."""
@@ -210,17 +218,25 @@ def _is_flat(net: _Net, part: Bools, normal: F64, held: F64, told: F64, diameter
     if np.median(told[part]) >= TOLD or not _is_held(net, part, held):
         return False
     tilt = np.arccos(np.clip(net.smooth[part] @ normal, -1, 1))
-    if np.sqrt(np.average(tilt**2, weights=area)) > CURVED:
+    away = net.points[part] - np.average(net.points[part], axis=0, weights=area)
+    width = np.sqrt(12 * np.linalg.eigvalsh(np.cov(away.T, aweights=area))[1])
+    curved = CURVED_WIDE if width > WIDE * diameter else CURVED
+    if np.sqrt(np.average(tilt**2, weights=area)) > curved:
         return False
-    grown, last = part, part
-    for _ in range(max(2, round(BEYOND * diameter / net.step))):
-        last = (net.beside @ grown.astype(float) > 0) & ~grown
-        grown = grown | last
-    border = last | (net.rim & part)
-    if not border.any():
-        return False
-    ends = (net.smooth[border] @ normal < BENT) | (net.rim & part)[border]
-    return bool(net.area[border] @ ends >= BENT_SHARE * net.area[border].sum())
+    return _bent_share(net, part, normal, BEYOND * diameter) >= BENT_SHARE
+
+
+def _bent_share(net: _Net, part: Bools, normal: F64, reach: float) -> float:
+    """Share of a part's border from which the surface ends or bends away within the reach."""
+    border = np.flatnonzero(part & ((net.beside @ (~part).astype(float) > 0) | net.rim))
+    if not len(border):
+        return 0.0
+    ends = np.flatnonzero((net.smooth @ normal < BENT) | net.rim)
+    if not len(ends):
+        return 0.0
+    away = dijkstra(net.lengths, indices=ends, min_only=True, limit=reach)
+    length = np.minimum(np.sqrt(net.area[border]), net.step)
+    return float(length @ np.isfinite(away[border]) / length.sum())
 
 
 def _is_held(net: _Net, part: Bools, held: F64) -> bool:
