@@ -3,7 +3,7 @@
 from dataclasses import replace
 from functools import partial
 
-from refdgs_pipe.artifacts.mesh import Mesh, RawMesh
+from refdgs_pipe.artifacts.mesh import Mesh, RawMesh, TriangleMesh
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.surfel_field import SurfelField
 from refdgs_pipe.pipeline.stage import Job, stage
@@ -16,6 +16,7 @@ def clean(
 ) -> Mesh:
     """Remove floaters, repair, close small holes, smooth, simplify, and fit to the views."""
     from refdgs_pipe.surface import cleanup, support
+    from refdgs_pipe.surface.gaps import without_base
     from refdgs_pipe.surface.registration import fitted
     from refdgs_pipe.training import ground, render
 
@@ -25,12 +26,17 @@ def clean(
     under = support.find_support(raw, model.up, diameter) if params.keep == "object" else None
     if params.keep == "object" and under is None and not ground.left_to_background(model, field):
         job.warn(support.NONE_FOUND)
+    standing: TriangleMesh = support.above_support(raw, under) if under else raw
+    level = ground.closed_below(model, field)
+    if params.base == "open" and level is not None:
+        standing = without_base(standing, level, diameter)
     done = cleanup.clean(
-        support.above_support(raw, under) if under else raw,
+        standing,
         floater=params.floater * diameter,
         hole=params.hole * diameter,
         smoothing=params.smoothing,
         faces=params.faces - (params.faces // 16 if params.outlines else 0),  # walls come yet
+        base=level if params.base == "closed" else None,
         stop=job.stop,
     )
     if (lost := done.removed.area_share) > 0.2:

@@ -24,19 +24,29 @@ class ExtractParams(Params):
     min_views: int = Field(
         2, ge=1, le=50, description="views that must see a place for it to become surface (count)"
     )
+    close: bool = Field(
+        True, description="close gaps that no view sees, on the ground that the object stands on"
+    )
     pixels: int = Field(
         960, ge=64, le=8192, description="longest side of the depth maps, in pixels"
     )
 
 
-@stage(version=1, programs=("open3d-cpu",))
+@stage(version=2, programs=("open3d-cpu",))
 def extract(field: SurfelField, model: SparseModel, params: ExtractParams, job: Job) -> RawMesh:
     """Fuse the depth that every camera sees of the field into one mesh."""
     from refdgs_pipe.surface.tsdf import Volume
+    from refdgs_pipe.training.ground import closed_below
     from refdgs_pipe.training.render import render_surface_map
 
     model = model.placed(field.poses, field.ball)
-    volume = Volume(model.ball, voxel=params.voxel, band=params.band, min_alpha=params.min_alpha)
+    volume = Volume(
+        model.ball,
+        voxel=params.voxel,
+        band=params.band,
+        min_alpha=params.min_alpha,
+        ground=closed_below(model, field) if params.close else None,
+    )
     for camera in job.track(model.cameras, "fusing depth"):
         small = camera.fitted(params.pixels)
         volume.integrate(render_surface_map(field, small, device=job.device, threads=job.threads))

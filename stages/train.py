@@ -23,12 +23,14 @@ def train(
     from refdgs_pipe.surface.own import own_surface
     from refdgs_pipe.training.budget import Load, planned, train_within
     from refdgs_pipe.training.coverage import doubt
+    from refdgs_pipe.training.ground import closed_below
     from refdgs_pipe.training.render import render_surface_map
     from refdgs_pipe.training.trainer import Figures, Trainer
 
     def surface(field: SurfelField) -> Mesh:
         draw = partial(render_surface_map, field, device=job.device, threads=job.threads)
-        return own_surface(model.placed(field.poses), draw, track=job.track, stop=job.stop)
+        placed = model.placed(field.poses)
+        return own_surface(placed, draw, closed_below(placed, field), job.track, job.stop)
 
     views = masks.applied(views, model.names)
     if masks.names:  # the ball of photos without masks is a guess
@@ -41,8 +43,7 @@ def train(
     looking = partial(job.progress, "looking for a start")
     torch.set_num_threads(job.threads)
     load = Load(params, job.cuda_graph)
-    if job.device == "cuda":
-        load = planned(load, model, vram=job.vram, warn=job.warn)
+    load = planned(load, model, vram=job.vram, warn=job.warn) if job.device == "cuda" else load
     given = partial(Trainer, views, model, scratch=job.scratch, device=job.device, warn=job.warn)
     trainer, field = train_within(
         lambda x: given(x.params, cuda_graph=x.cuda_graph, starting=looking, surface=surface),

@@ -57,6 +57,7 @@ def clean(
     hole: float,
     smoothing: int,
     faces: int,
+    base: NDArray[np.float64] | None = None,
     stop: threading.Event | None = None,
 ) -> Cleaned:
     """Remove floaters, repair, close small holes, smooth and simplify.
@@ -66,6 +67,7 @@ def clean(
         hole: rims up to this length are closed, world units.
         smoothing: Taubin steps.
         faces: the budget.
+        base: (3,) unit normal of the plane through the origin, to close what is open on it.
 
     Raises:
         MeshError: nothing is left.
@@ -80,6 +82,7 @@ def clean(
             "hole": hole,
             "smoothing": smoothing,
             "target": faces,
+            "base": np.zeros(3) if base is None else base,
         },
         timeout_s=_TIMEOUT_S,
         stop=stop,
@@ -119,22 +122,29 @@ def repair_and_simplify(
     hole: float,
     smoothing: int,
     target: int,
+    base: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """Repaired, closed, smoothed and decimated (V, 3) vertices and (F, 3) faces.
+
+    Args:
+        base: (3,) normal of the plane through the origin on which all holes are closed; 0 for none.
 
     Runs in a child process: the library keeps global state and may crash.
     """
     import pymeshlab
 
     meshes = pymeshlab.MeshSet(verbose=False)
-    meshes.add_mesh(pymeshlab.Mesh(vertices.astype(np.float64), faces))
-    _repair(meshes)
     edge = float(np.median(np.linalg.norm(vertices[faces[:, 0]] - vertices[faces[:, 1]], axis=1)))
+    points = vertices.astype(np.float64)
+    meshes.add_mesh(pymeshlab.Mesh(_uneven(points, base, edge) if base.any() else points, faces))
+    _repair(meshes)
     edges = int(hole / edge)
     if edges >= 3:
         # Left selected, the new faces would be all that the later filters work on.
         meshes.meshing_close_holes(maxholesize=edges, newfaceselected=False)
         _repair(meshes)
+    if base.any():
+        _close_base(meshes, base, edge)
     if smoothing:
         meshes.apply_coord_taubin_smoothing(lambda_=0.5, mu=-0.53, stepsmoothnum=smoothing)
     if meshes.current_mesh().face_number() > target:
@@ -150,6 +160,34 @@ def repair_and_simplify(
         _repair(meshes)
     mesh = meshes.current_mesh()
     return mesh.vertex_matrix(), mesh.face_matrix()
+
+
+def _uneven(
+    points: NDArray[np.float64], base: NDArray[np.float64], edge: float
+) -> NDArray[np.float64]:
+    """The vertices, those on the base moved in it by up to a twentieth of an edge.
+
+    The rim runs along rows of voxels. Places in one line would be joined by faces without an area.
+    """
+    away = np.random.default_rng(0).uniform(-0.05, 0.05, points.shape) * edge
+    away -= (away @ base)[:, None] * base
+    on = np.abs(points @ base) < edge / 4
+    return np.where(on[:, None], points + away, points)
+
+
+def _close_base(meshes: Any, base: NDArray[np.float64], edge: float) -> None:
+    """Close all holes beside faces that lie on the plane through the origin."""
+    x, y, z = base
+    on = f"abs(({x})*x+({y})*y+({z})*z)<{edge / 4}"
+    meshes.compute_selection_by_condition_per_vertex(condselect=on)
+    meshes.compute_selection_transfer_vertex_to_face(inclusive=False)
+    longest = meshes.current_mesh().vertex_number()
+    # The library's test whether new faces cross others leaves a ragged rim open.
+    meshes.meshing_close_holes(
+        maxholesize=longest, selected=True, newfaceselected=False, selfintersection=False
+    )
+    meshes.set_selection_none()
+    _repair(meshes)
 
 
 def _repair(meshes: Any) -> None:

@@ -3,13 +3,14 @@
 import threading
 from collections.abc import Callable, Iterable
 
-from refdgs_pipe.artifacts.mesh import Mesh
+from refdgs_pipe.artifacts.mesh import Mesh, TriangleMesh
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.surface_map import SurfaceMap
-from refdgs_pipe.camera import Camera
+from refdgs_pipe.camera import F64, Camera
 from refdgs_pipe.child import ChildCrashed, ChildTimeout
 from refdgs_pipe.errors import MeshError
 from refdgs_pipe.surface.cleanup import clean
+from refdgs_pipe.surface.gaps import without_base
 from refdgs_pipe.surface.registration import fitted
 from refdgs_pipe.surface.tsdf import Volume
 
@@ -22,7 +23,7 @@ FLOATER, HOLE, SMOOTHING, ROUNDS, FACES = 0.08, 0.15, 5, 3, 50_000
 def own_surface(
     model: SparseModel,
     draw: Callable[[Camera], SurfaceMap],
-    *,
+    ground: F64 | None,
     track: Callable[[list[Camera], str], Iterable[Camera]],
     stop: threading.Event | None = None,
 ) -> Mesh:
@@ -30,17 +31,20 @@ def own_surface(
 
     Args:
         draw: what a camera sees.
+        ground: (3,) unit normal of the plane through the origin that closes the object below.
         track: wraps the cameras, to report progress under a label; may raise.
 
     Raises:
         MeshError: the views show no surface, or the program that cleans it fails.
     """
     cameras = model.training_cameras
-    volume = Volume(model.ball, voxel=VOXEL)
+    volume = Volume(model.ball, voxel=VOXEL, ground=ground)
     for camera in track(cameras, "fusing depth"):
         volume.integrate(draw(camera.fitted(LONGEST)))
     diameter = 2 * model.ball.radius
-    raw = volume.extract(min_views=min(2, volume.views))
+    raw: TriangleMesh = volume.extract(min_views=min(2, volume.views))
+    if ground is not None:
+        raw = without_base(raw, ground, diameter)
     try:
         done = clean(
             raw,

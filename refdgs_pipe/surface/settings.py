@@ -11,6 +11,9 @@ class CleanParams(Params):
     """Repair and simplification of the mesh."""
 
     keep: Literal["object", "all"] = Field("all", description="object: no table or plate below it")
+    base: Literal["open", "closed"] = Field(
+        "open", description="what no photo sees, where the object stands on the ground"
+    )
     floater: float = Field(
         0.08, ge=0, le=1, description="smaller loose pieces are removed, in ball diameters"
     )

@@ -1,5 +1,7 @@
 """Fusion of depth maps into one surface on a sparse grid of signed distances."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -8,8 +10,11 @@ from refdgs_pipe.artifacts.sparse_model import Ball
 from refdgs_pipe.artifacts.surface_map import SurfaceMap
 from refdgs_pipe.errors import MeshError
 from refdgs_pipe.geometry import without_jumps
+from refdgs_pipe.surface.gaps import Gaps, only_bridges
+from refdgs_pipe.surface.rims import rim_of
 
 F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
 
 # Smaller blocks waste less on the empty side of a thin surface: 8 took a third less memory than 16.
 _BLOCK = 8
@@ -24,6 +29,8 @@ class Volume:
         band: half-width of the signed-distance band, in voxels.
         min_alpha: pixels covered less are ignored.
         min_cosine: pixels seen flatter than this (cosine to the normal) are ignored.
+        ground: (3,) unit normal of the plane through the world's origin that the object stands on,
+            if views show the object alone: then gaps between what views see are closed down to it.
     """
 
     def __init__(
@@ -34,6 +41,7 @@ class Volume:
         band: float = 4.0,
         min_alpha: float = 0.5,
         min_cosine: float = 0.15,
+        ground: F64 | None = None,
     ) -> None:
         import open3d as o3d
 
@@ -41,6 +49,7 @@ class Volume:
         self.min_alpha, self.min_cosine = min_alpha, min_cosine
         self.voxel = 2.0 * ball.radius * voxel
         self.views = 0
+        self._gaps = None if ground is None else Gaps(ball, ground, band * self.voxel)
         # The surface of the ball, three blocks deep: the hash map grows by itself beyond that.
         blocks = int(3 * 4 * np.pi * (ball.radius / (_BLOCK * self.voxel)) ** 2) + 1000
         f32, one = o3d.core.float32, o3d.core.SizeVector([1])
@@ -59,6 +68,8 @@ class Volume:
             min_alpha=self.min_alpha,
             min_cosine=self.min_cosine,
         )
+        if self._gaps is not None:
+            self._gaps.add(view, depth, self.min_alpha)
         used = int((depth > 0).sum())
         if not used:
             return 0.0
@@ -90,18 +101,52 @@ class Volume:
                 "no view shows a surface inside the object ball: nothing to fuse. Look at the "
                 "renders of the trained field; if they are empty, train longer or check the masks"
             )
+        mesh = self._crossing(min_views)
+        if not len(mesh.faces):
+            raise MeshError(
+                f"{self.views} views were fused but no surface is seen by {min_views} of them: "
+                "lower extract.min_views or make extract.voxel larger"
+            )
+        rim = mesh.vertices[rim_of(mesh).vertices].astype(np.float64)
+        if self._gaps is not None and len(rim):
+            self._close(self._gaps, rim, min_views)
+            closed = self._crossing(min_views)
+            mesh = only_bridges(closed, mesh, self._gaps.ground, 2 * self.ball.radius)
+        return mesh
+
+    def _crossing(self, min_views: int) -> RawMesh:
+        """The zero crossing of the grid; without faces if there is none."""
         try:
             mesh = self._grid.extract_triangle_mesh(weight_threshold=min_views - 0.5)
             vertices = mesh.vertex.positions.numpy().astype(np.float32)
             faces = mesh.triangle.indices.numpy().astype(np.int32)
         except (RuntimeError, KeyError):  # open3d's way to say that there is no crossing
             vertices, faces = np.empty((0, 3), np.float32), np.empty((0, 3), np.int32)
-        if not len(faces):
-            raise MeshError(
-                f"{self.views} views were fused but no surface is seen by {min_views} of them: "
-                "lower extract.min_views or make extract.voxel larger"
-            )
         return RawMesh(*_ordered(vertices, faces))
+
+    def _close(self, gaps: Gaps, rim: F64, min_views: int) -> None:
+        """Give the places near rims (N, 3) that too few views see what the gaps say of them."""
+        import open3d as o3d
+
+        keys = o3d.core.Tensor.from_numpy(gaps.blocks(rim, _BLOCK * self.voxel))
+        table = self._grid.hashmap()
+        table.activate(keys)
+        values, weights = (
+            self._grid.attribute(name).numpy().reshape(-1) for name in ("tsdf", "weight")
+        )
+        points, row = self._places(table.find(keys)[0])
+        unseen = weights[row] < min_views - 0.5
+        points, row = points[unseen], row[unseen]
+        chosen = gaps.among(points, rim)
+        points, row = points[chosen], row[chosen]
+        values[row], weights[row] = gaps.distances(points), min_views
+        points, row = self._places(table.active_buf_indices())
+        values[row] = np.maximum(values[row], gaps.depths(points))
+
+    def _places(self, blocks: Any) -> tuple[F64, NDArray[np.int64]]:
+        """(N, 3) the voxels of blocks in the world, and their rows (N,) in the grid's arrays."""
+        places, rows = self._grid.voxel_coordinates_and_flattened_indices(blocks)
+        return places.numpy().astype(np.float64), rows.numpy()
 
 
 def _ordered(vertices: F32, faces: NDArray[np.int32]) -> tuple[F32, NDArray[np.int32]]:

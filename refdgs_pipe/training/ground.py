@@ -7,6 +7,7 @@ from torch import Tensor
 from refdgs_pipe.artifacts.sparse_model import Ball, SparseModel
 from refdgs_pipe.artifacts.surfel_field import SurfelField
 from refdgs_pipe.camera import F64
+from refdgs_pipe.geometry import one_sided
 
 NEAR = 2.5  # points farther from the ball's centre do not vote, in ball radii
 THICK = 0.01  # either side of the plane, in ball radii
@@ -42,6 +43,17 @@ class Surroundings:
     def objects(self, points: Tensor, margin: float = 1.0) -> Tensor:
         """(N,) whether points (N, 3) can be the object's."""
         return self.near(points, margin) & self.above(points)
+
+
+def closed_below(model: SparseModel, field: SurfelField) -> F64 | None:
+    """(3,) unit normal of the ground through the world's origin, where a field has none of it.
+
+    None where the ground is not known or part of the field, and for photos from one side: what
+    no photo sees is then not the object's inside.
+    """
+    if not _holds_points(model) or one_sided(model.cameras, model.ball.center, model.up):
+        return None
+    return model.up if not len(field.background) or left_to_background(model, field) else None
 
 
 def left_to_background(model: SparseModel, field: SurfelField) -> bool:

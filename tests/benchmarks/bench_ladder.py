@@ -144,7 +144,7 @@ def trained(row: str, scene: str, folder: Path) -> dict[str, float]:
     model = stages.sfm(views)
 
     def surface(field: SurfelField) -> TriangleMesh:
-        return own_surface(model, partial(render_surface_map, field), track=lambda c, _: c)
+        return own_surface(model, partial(render_surface_map, field), None, lambda c, _: c)
 
     trainer = Trainer(views, model, params, folder, surface=surface)
     before = time.process_time()

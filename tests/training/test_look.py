@@ -8,13 +8,13 @@ import pytest
 import torch
 from finished import field
 from safetensors.torch import load_file, save_file
-from scenes import glossy_pair
+from scenes import glossy_pair, orbit
 from training.test_trainer import SMALL, capture, model_of, quiet
 
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.surfel_field import SurfelField, SurfelSet
 from refdgs_pipe.errors import Cancelled
-from refdgs_pipe.training.ground import Surroundings, left_to_background
+from refdgs_pipe.training.ground import Surroundings, closed_below, left_to_background
 from refdgs_pipe.training.look import Look, look
 from refdgs_pipe.training.losses import out_of_place
 from refdgs_pipe.training.photos import load_training_photos, shrunk
@@ -57,6 +57,24 @@ def test_a_field_tells_whether_its_ground_is_the_backgrounds() -> None:
     assert not left_to_background(on_a_table(0.05), above)  # no ground was found
     assert not left_to_background(on_a_table(0.5), with_object(0.0, 0.4))  # it is the object's
     assert not left_to_background(on_a_table(0.5), with_object(0.1, behind=0))
+
+
+def test_gaps_are_closed_on_a_ground_that_is_known_and_not_the_objects() -> None:
+    def ground(share: float, behind: int, lowest: float, *, one_side: bool = False) -> bool:
+        all_round = [c for c in orbit(24) if c.center[2] > 0]
+        cameras = [c for c in all_round if c.center[0] > 0] if one_side else all_round
+        model = replace(on_a_table(share), cameras=tuple(cameras))
+        means = np.array([[0.1, 0.2, lowest], [0.1, 0.2, 0.4]])
+        one = replace(field(), geometry=surfels(means), background=surfels(np.ones((behind, 3))))
+        up = closed_below(model, one)
+        assert up is None or np.array_equal(up, model.up)
+        return up is not None
+
+    assert ground(0.5, 3, 0.1)
+    assert ground(0.5, 0, 0.0)  # masks leave the ground out
+    assert not ground(0.5, 3, 0.0)  # the field holds the ground
+    assert not ground(0.05, 3, 0.1)  # no ground was found
+    assert not ground(0.5, 3, 0.1, one_side=True)  # what is behind is not the inside
 
 
 def surfels(means: np.ndarray) -> SurfelSet:
