@@ -25,7 +25,7 @@ from refdgs_pipe.masking.beyond import shown_room
 from refdgs_pipe.masking.colours import colour_evidence
 from refdgs_pipe.masking.cut import cut, without_false_holes
 from refdgs_pipe.masking.odds import calibrated
-from refdgs_pipe.masking.solid import agreed, grid, pixels_of, silhouette
+from refdgs_pipe.masking.solid import agreed, covering, grid, pixels_of, silhouette
 from refdgs_pipe.masking.table import (
     BLUR,
     Blur,
@@ -73,6 +73,7 @@ WIDE = 2.2  # radii of the ball that the plane's picture reaches at first
 NARROW = 1.9  # reaches of the solid, later, at least
 BEHIND = 1.0  # of a point's height above the plane: how far behind it photos show the plane
 BAND = 0.02  # of a photo's longer side: how far an outline may be off
+CERTAIN = 1.0  # evidence for the object, from which on a photo has to show something solid
 COLOUR, PRIOR = 0.5, 0.75  # of the evidence: colours, and the solid's silhouette
 INNER = 0.7  # of the silhouette's prior inside, at last
 FREE = 0.3  # of a mask, above which it denies nothing
@@ -211,6 +212,8 @@ class _Worker:
         solid = agreed(self.cells, self.shots, free, known, self.normal, deny=deny)
         if solid.sum() < LEAST_CELLS:
             return None
+        if found is not None:
+            solid = covering(self.cells, solid, self.shots, free, known, _sure(values, known))
         outlines = self._silhouettes(solid)
         final = self._near_outlines(values, outlines)
         return self._placed(final, outlines, solid, None if found is None else found.room)
@@ -232,6 +235,7 @@ class _Worker:
             solid = agreed(self.cells, self.shots, free, known, self.normal, deny=deny)
             if solid.sum() < LEAST_CELLS:
                 return None
+            solid = covering(self.cells, solid, self.shots, free, known, _sure(values, known))
             outlines = self._silhouettes(solid)
             self.band = [max(2, round(band / 2)) for band in self.band]
         masks = self._near_outlines(values, outlines)
@@ -340,6 +344,11 @@ class _Worker:
             self._reach(points),
             _ball_of(points, self.cells.size),
         )
+
+
+def _sure(values: list[F32], known: list[Bools]) -> list[Bools]:
+    """(H, W) where photos are sure to show the object."""
+    return [(smooth(v, 1.0) < -CERTAIN) & k for v, k in zip(values, known, strict=True)]
 
 
 def _cut(shot: Shot, outline: Bools, margin: float) -> Shot:

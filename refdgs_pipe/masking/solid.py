@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import label
 
 from refdgs_pipe.artifacts.sparse_model import Ball
@@ -14,6 +15,8 @@ REACH = 1.1  # radii of the ball that the cells cover
 SHOWN = 0.6  # share of the photos that must show a cell
 KNOWN = 0.2  # share of the photos that must know whether a cell is empty
 DROP = 6  # photos after which cells that are lost are left out
+DOUBTED = 0.5  # share of the photos that can tell, above which no cell comes back
+TIE = 0.05  # of that share: cells of one ray that are denied as seldom
 PIECE = 0.03  # of the largest piece's cells: smaller ones go
 
 
@@ -81,6 +84,63 @@ def agreed(
     out = np.zeros(len(cells.points), bool)
     out[index[solid]] = True
     return _without_crumbs(out, cells.n)
+
+
+def covering(
+    cells: Cells,
+    solid: Bools,
+    shots: list[Shot],
+    free: list[Bools],
+    known: list[Bools],
+    sure: list[Bools],
+) -> Bools:
+    """(n ** 3,) the solid, and cells that come back because photos are sure to show something.
+
+    A white rim before a white cloth is denied by photos from above, with little evidence. Photos
+    that see it before a dark wall are sure of it: along each of their rays there is something,
+    where the fewest photos deny it.
+
+    Args:
+        solid: (n ** 3,) as from `agreed`; free, known: as there.
+        sure: (H, W) where each photo is sure to show the object.
+    """
+    index = np.flatnonzero(cells.inside & ~solid)
+    points = cells.points[index]
+    seen, told, denied = (np.zeros(len(index), np.int32) for _ in range(3))
+    for shot, may, can in zip(shots, free, known, strict=True):
+        shown, tells, may_be = _asked(points, shot, may, can)
+        seen += shown
+        told += tells
+        denied += tells & ~may_be
+    share = denied / np.maximum(told, 1)
+    likely = (seen >= SHOWN * len(shots)) & (told >= KNOWN * len(shots)) & (share <= DOUBTED)
+    index, points, share = index[likely], points[likely], share[likely]
+    back = np.zeros(len(index), bool)
+    for shot, pixels in zip(shots, sure, strict=True):
+        step = max(1, round(0.8 * pixels_of(cells.size, shot, cells.points.mean(0))))
+        shown = silhouette(cells, solid, shot).astype(np.uint8)
+        shown = cv2.dilate(shown, np.ones((2 * step + 1,) * 2, np.uint8))
+        bare = cv2.erode((pixels & (shown == 0)).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+        rows, rays = _on_rays(points, shot, bare, step)
+        least = np.full(rays.max(initial=0) + 1, np.inf)
+        np.minimum.at(least, rays, share[rows])
+        back[rows[share[rows] <= least[rays] + TIE]] = True
+    out = solid.copy()
+    out[index[back]] = True
+    return out
+
+
+def _on_rays(
+    points: F64, shot: Shot, pixels: Bools, step: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows (M,) of the points that chosen pixels show, and numbers (M,) of rays `step` wide."""
+    uv, depth = shot.camera.project(points)
+    height, width = pixels.shape
+    rows = np.flatnonzero((depth > 0) & (uv >= 0).all(1) & (uv < (width, height)).all(1))
+    column, row = uv[rows].astype(np.int64).T
+    chosen = pixels[row, column]
+    rays = row // step * (width // step + 1) + column // step
+    return rows[chosen], rays[chosen]
 
 
 def _asked(points: F64, shot: Shot, may: Bools, can: Bools) -> tuple[Bools, Bools, Bools]:

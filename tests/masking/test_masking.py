@@ -18,7 +18,7 @@ from refdgs_pipe.ground.shots import Shot
 from refdgs_pipe.masking.cut import cut
 from refdgs_pipe.masking.files import distorted, write_masks
 from refdgs_pipe.masking.rounds import agreement, object_masks
-from refdgs_pipe.masking.solid import agreed, grid, silhouette
+from refdgs_pipe.masking.solid import agreed, covering, grid, silhouette
 
 BALL = Ball(np.array([0.0, 0.0, 0.45]), 1.0)
 UP = np.array([0.0, 0.0, 1.0])
@@ -143,14 +143,19 @@ def test_the_cut_follows_the_edge_between_uncertain_pixels() -> None:
     assert not inside[5:35, 20:].any()
 
 
-def test_a_cell_that_photos_deny_is_not_solid() -> None:
-    cells = grid(BALL, UP, 0.0, 32)
+def eight_shots() -> tuple[list[Shot], list[np.ndarray]]:
+    """Photos of a ring without their colours, and where each shows the ball."""
     shots = []
     for i in range(8):
         one = camera(i, 8)
         nothing = np.zeros((*SIZE[::-1], 3), np.float32)
         shots.append(Shot(one, nothing, np.ones(SIZE[::-1], bool), (0, SIZE[0], 0, SIZE[1]), SIZE))
-    truth = [photographed(shot.camera)[1] for shot in shots]
+    return shots, [photographed(shot.camera)[1] for shot in shots]
+
+
+def test_a_cell_that_photos_deny_is_not_solid() -> None:
+    cells = grid(BALL, UP, 0.0, 32)
+    shots, truth = eight_shots()
     known = [np.ones_like(t) for t in truth]
     solid = agreed(cells, shots, truth, known, UP, deny=0.0)
     distance = np.linalg.norm(cells.points - CENTER, axis=1)
@@ -158,6 +163,29 @@ def test_a_cell_that_photos_deny_is_not_solid() -> None:
     assert not solid[distance > 1.6 * RADIUS].any()
     shown = silhouette(cells, solid, shots[0])
     assert overlap(shown, truth[0]) > 0.85
+
+
+def test_what_photos_are_sure_of_comes_back_where_others_deny_it() -> None:
+    cells = grid(BALL, UP, 0.0, 32)
+    shots, truth = eight_shots()
+    known = [np.ones_like(t) for t in truth]
+    free = [t.copy() for t in truth]
+    for i in (0, 2, 4):  # photos from above lose the ball's far side
+        rows = np.flatnonzero(truth[i].any(1))
+        free[i][: int(rows[0] + 0.25 * len(rows))] = False
+    solid = agreed(cells, shots, free, known, UP, deny=0.08)
+    inside = np.linalg.norm(cells.points - CENTER, axis=1) < RADIUS - 2 * cells.size
+    unsure = [np.zeros_like(t) for t in truth]
+    assert solid[inside].mean() < 0.95
+    assert (covering(cells, solid, shots, free, known, unsure) == solid).all()
+    back = covering(
+        cells, solid, shots, free, known, [t & (i % 2 > 0) for i, t in enumerate(truth)]
+    )
+    assert (back >= solid).all()
+    assert overlap(silhouette(cells, back, shots[1]), truth[1]) > 0.85
+    assert overlap(silhouette(cells, solid, shots[1]), truth[1]) < 0.8
+    outside = np.linalg.norm(cells.points - CENTER, axis=1) > 1.6 * RADIUS
+    assert not back[outside].any()
 
 
 def test_masks_are_written_as_the_lens_drew_the_photo(
