@@ -16,6 +16,8 @@ SHOWN = 0.6  # share of the photos that must show a cell
 KNOWN = 0.2  # share of the photos that must know whether a cell is empty
 DROP = 6  # photos after which cells that are lost are left out
 DOUBTED = 0.5  # share of the photos that can tell, above which no cell comes back
+MUCH = 0.25  # of the solid's silhouette: a photo that is sure of more is not sure of the object
+MOST = 0.06  # of the solid's cells that may come back: round a turntable photos are sure of more
 TIE = 0.05  # of that share: cells of one ray that are denied as seldom
 PIECE = 0.03  # of the largest piece's cells: smaller ones go
 
@@ -120,13 +122,17 @@ def covering(
         step = max(1, round(0.8 * pixels_of(cells.size, shot, cells.points.mean(0))))
         shown = silhouette(cells, solid, shot).astype(np.uint8)
         shown = cv2.dilate(shown, np.ones((2 * step + 1,) * 2, np.uint8))
-        bare = cv2.erode((pixels & (shown == 0)).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+        missing = pixels & (shown == 0)
+        if missing.sum() > MUCH * np.count_nonzero(shown):
+            continue
+        bare = cv2.erode(missing.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
         rows, rays = _on_rays(points, shot, bare, step)
         least = np.full(rays.max(initial=0) + 1, np.inf)
         np.minimum.at(least, rays, share[rows])
         back[rows[share[rows] <= least[rays] + TIE]] = True
     out = solid.copy()
-    out[index[back]] = True
+    if back.sum() <= MOST * solid.sum():
+        out[index[back]] = True
     return out
 
 

@@ -27,7 +27,7 @@ Bools = NDArray[np.bool_]
 SMOOTH = 0.01  # of the ball's diameter, by which normals are smoothed before they are compared
 TILT = np.cos(np.radians(12.0))  # between a place's normal and the plane's
 NEAR = 1.5  # limits that a place of the part may lie off its plane
-LEAST_AREA = 0.015  # of the mesh's area
+LEAST_AREA = 0.05  # of the mesh's area: outlines alone hold smaller parts well enough
 # Root mean square tilt: a strip of a tube that ends at TILT has 6.9 or more, a dome 8.5. Where a
 # strip is WIDE, its tube is so wide that it does not bend away at the strip's border.
 CURVED, CURVED_WIDE = np.radians(6.5), np.radians(7.5)

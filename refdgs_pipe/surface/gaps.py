@@ -27,7 +27,7 @@ from refdgs_pipe.surface.topology import compacted
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
-REACH = 0.03  # of the ball's diameter, from a torn rim
+REACH = 0.02  # of the ball's diameter, from a torn rim
 _LONGEST = 480  # pixels of the maps that are kept
 _SURE = 3  # views that have to see that a place is empty
 _THIN = 2e-4  # of the ball's diameter, off the ground, for what lies on it

@@ -165,27 +165,28 @@ def test_a_cell_that_photos_deny_is_not_solid() -> None:
     assert overlap(shown, truth[0]) > 0.85
 
 
-def test_what_photos_are_sure_of_comes_back_where_others_deny_it() -> None:
+@pytest.mark.parametrize("lost", [0.2, 0.4])
+def test_a_little_that_photos_are_sure_of_comes_back_where_others_deny_it(lost: float) -> None:
     cells = grid(BALL, UP, 0.0, 32)
     shots, truth = eight_shots()
     known = [np.ones_like(t) for t in truth]
     free = [t.copy() for t in truth]
     for i in (0, 2, 4):  # photos from above lose the ball's far side
         rows = np.flatnonzero(truth[i].any(1))
-        free[i][: int(rows[0] + 0.25 * len(rows))] = False
+        free[i][: int(rows[0] + lost * len(rows))] = False
     solid = agreed(cells, shots, free, known, UP, deny=0.08)
-    inside = np.linalg.norm(cells.points - CENTER, axis=1) < RADIUS - 2 * cells.size
     unsure = [np.zeros_like(t) for t in truth]
-    assert solid[inside].mean() < 0.95
     assert (covering(cells, solid, shots, free, known, unsure) == solid).all()
-    back = covering(
-        cells, solid, shots, free, known, [t & (i % 2 > 0) for i, t in enumerate(truth)]
-    )
-    assert (back >= solid).all()
-    assert overlap(silhouette(cells, back, shots[1]), truth[1]) > 0.85
-    assert overlap(silhouette(cells, solid, shots[1]), truth[1]) < 0.8
-    outside = np.linalg.norm(cells.points - CENTER, axis=1) > 1.6 * RADIUS
-    assert not back[outside].any()
+    sure = [t if i % 2 else ~t & t for i, t in enumerate(truth)]
+    back = covering(cells, solid, shots, free, known, sure)
+    added = back & ~solid
+    if lost > 0.3:  # that much is not the object's
+        assert not added.any()
+        return
+    assert (back >= solid).all() and added.sum() > 0.01 * solid.sum()
+    away = np.linalg.norm(cells.points - CENTER, axis=1)
+    assert away[added].max() < 1.3 * RADIUS
+    assert np.mean(cells.points[added, 2] > CENTER[2]) > 0.95  # where it was lost
 
 
 def test_masks_are_written_as_the_lens_drew_the_photo(
