@@ -121,9 +121,13 @@ class Gaps:
         """(N,) of points (N, 3), in bands: 1 is empty, 0 the surface, -1 solid."""
         return emptiness(self._glances, points, self.band) / np.float32(self.band)
 
-    def depths(self, points: F64) -> F32:
-        """(N,) how far points (N, 3) lie in the ground, in bands; no object is there."""
-        return np.asarray(np.clip(-points @ self.ground / self.band, -1, 1), np.float32)
+    def depths(self, points: F64, more: float = 0.0) -> F32:
+        """(N,) how far points (N, 3) lie in the ground, in bands; no object is there.
+
+        Args:
+            more: added to all depths, world units.
+        """
+        return np.asarray(np.clip((more - points @ self.ground) / self.band, -1, 1), np.float32)
 
 
 def emptiness(glances: list[Glance], points: F64, band: float) -> F32:

@@ -140,7 +140,11 @@ class Volume:
         chosen = gaps.among(points, rim)
         points, row = points[chosen], row[chosen]
         values[row], weights[row] = gaps.distances(points), min_views
-        points, row = self._places(table.active_buf_indices())
+        active = table.active_buf_indices()
+        edge = _BLOCK * self.voxel
+        middles = (table.key_tensor()[active.to(o3d.core.int64)].numpy() + 0.5) * edge
+        low = gaps.depths(middles, edge * 3**0.5 / 2) > -1
+        points, row = self._places(o3d.core.Tensor.from_numpy(active.numpy()[low]))
         values[row] = np.maximum(values[row], gaps.depths(points))
 
     def _places(self, blocks: Any) -> tuple[F64, NDArray[np.int64]]:
