@@ -27,7 +27,9 @@ def clean(
     if params.keep == "object" and under is None and not ground.left_to_background(model, field):
         job.warn(support.NONE_FOUND)
     standing: TriangleMesh = support.above_support(raw, under) if under else raw
-    level = ground.closed_below(model, field)
+    level = ground.ground_below(model, field)
+    if params.base == "closed" and level is None:
+        job.warn(support.NO_GROUND)
     if params.base == "open" and level is not None:
         standing = without_base(standing, level, diameter)
     done = cleanup.clean(

@@ -36,7 +36,7 @@ class ExtractParams(Params):
 def extract(field: SurfelField, model: SparseModel, params: ExtractParams, job: Job) -> RawMesh:
     """Fuse the depth that every camera sees of the field into one mesh."""
     from refdgs_pipe.surface.tsdf import Volume
-    from refdgs_pipe.training.ground import closed_below
+    from refdgs_pipe.training.ground import ground_below
     from refdgs_pipe.training.render import render_surface_map
 
     model = model.placed(field.poses, field.ball)
@@ -45,7 +45,7 @@ def extract(field: SurfelField, model: SparseModel, params: ExtractParams, job: 
         voxel=params.voxel,
         band=params.band,
         min_alpha=params.min_alpha,
-        ground=closed_below(model, field) if params.close else None,
+        ground=ground_below(model, field) if params.close else None,
     )
     for camera in job.track(model.cameras, "fusing depth"):
         small = camera.fitted(params.pixels)

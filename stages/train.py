@@ -23,14 +23,14 @@ def train(
     from refdgs_pipe.surface.own import own_surface
     from refdgs_pipe.training.budget import Load, planned, train_within
     from refdgs_pipe.training.coverage import doubt
-    from refdgs_pipe.training.ground import closed_below
+    from refdgs_pipe.training.ground import ground_below
     from refdgs_pipe.training.render import render_surface_map
     from refdgs_pipe.training.trainer import Figures, Trainer
 
     def surface(field: SurfelField) -> Mesh:
         draw = partial(render_surface_map, field, device=job.device, threads=job.threads)
         placed = model.placed(field.poses)
-        return own_surface(placed, draw, closed_below(placed, field), job.track, job.stop)
+        return own_surface(placed, draw, ground_below(placed, field), job.track, job.stop)
 
     views = masks.applied(views, model.names)
     if masks.names:  # the ball of photos without masks is a guess

@@ -11,14 +11,16 @@ from refdgs_pipe.artifacts.sparse_model import Ball
 from refdgs_pipe.camera import F64
 from refdgs_pipe.ground.shots import Bools, Shot
 
+Ints = NDArray[np.int64]
+
 REACH = 1.1  # radii of the ball that the cells cover
 SHOWN = 0.6  # share of the photos that must show a cell
 KNOWN = 0.2  # share of the photos that must know whether a cell is empty
 DROP = 6  # photos after which cells that are lost are left out
-DOUBTED = 0.5  # share of the photos that can tell, above which no cell comes back
+DOUBTED = 0.5  # share of the photos that can tell, which may deny a cell that comes back
+TIE = 0.05  # of that share: cells of one ray that differ by less are denied equally often
 MUCH = 0.25  # of the solid's silhouette: a photo that is sure of more is not sure of the object
 MOST = 0.06  # of the solid's cells that may come back: round a turntable photos are sure of more
-TIE = 0.05  # of that share: cells of one ray that are denied as seldom
 PIECE = 0.03  # of the largest piece's cells: smaller ones go
 
 
@@ -67,17 +69,8 @@ def agreed(
         deny: share of the photos that can tell, which may deny a cell.
     """
     index = np.flatnonzero(cells.inside)
+    index, seen, told, denied = _polled(cells, index, shots, free, known, deny)
     points = cells.points[index]
-    seen, told, denied = (np.zeros(len(index), np.int32) for _ in range(3))
-    for number, (shot, may, can) in enumerate(zip(shots, free, known, strict=True), 1):
-        shown, tells, may_be = _asked(points, shot, may, can)
-        seen += shown
-        told += tells
-        denied += tells & ~may_be
-        if number % DROP == 0:  # what more photos cannot save
-            left = (denied <= deny * len(shots)) & (number - seen <= (1 - SHOWN) * len(shots))
-            index, points = index[left], points[left]
-            seen, told, denied = seen[left], told[left], denied[left]
     shown_enough = seen >= SHOWN * len(shots)
     sure = told >= KNOWN * len(shots)
     solid = shown_enough & sure & (denied <= deny * told)
@@ -107,16 +100,11 @@ def covering(
         sure: (H, W) where each photo is sure to show the object.
     """
     index = np.flatnonzero(cells.inside & ~solid)
-    points = cells.points[index]
-    seen, told, denied = (np.zeros(len(index), np.int32) for _ in range(3))
-    for shot, may, can in zip(shots, free, known, strict=True):
-        shown, tells, may_be = _asked(points, shot, may, can)
-        seen += shown
-        told += tells
-        denied += tells & ~may_be
+    index, seen, told, denied = _polled(cells, index, shots, free, known, DOUBTED)
     share = denied / np.maximum(told, 1)
     likely = (seen >= SHOWN * len(shots)) & (told >= KNOWN * len(shots)) & (share <= DOUBTED)
-    index, points, share = index[likely], points[likely], share[likely]
+    index, share = index[likely], share[likely]
+    points = cells.points[index]
     back = np.zeros(len(index), bool)
     for shot, pixels in zip(shots, sure, strict=True):
         step = max(1, round(0.8 * pixels_of(cells.size, shot, cells.points.mean(0))))
@@ -136,9 +124,29 @@ def covering(
     return out
 
 
-def _on_rays(
-    points: F64, shot: Shot, pixels: Bools, step: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _polled(
+    cells: Cells, index: Ints, shots: list[Shot], free: list[Bools], known: list[Bools], deny: float
+) -> tuple[Ints, Ints, Ints, Ints]:
+    """The cells that may still be solid, and how many photos show, can tell of and deny each.
+
+    Args:
+        index: (N,) rows of the cells that are asked for; free, known, deny: as in `agreed`.
+    """
+    points = cells.points[index]
+    seen, told, denied = (np.zeros(len(index), np.int64) for _ in range(3))
+    for number, (shot, may, can) in enumerate(zip(shots, free, known, strict=True), 1):
+        shown, tells, may_be = _asked(points, shot, may, can)
+        seen += shown
+        told += tells
+        denied += tells & ~may_be
+        if number % DROP == 0:  # what more photos cannot save
+            left = (denied <= deny * len(shots)) & (number - seen <= (1 - SHOWN) * len(shots))
+            index, points = index[left], points[left]
+            seen, told, denied = seen[left], told[left], denied[left]
+    return index, seen, told, denied
+
+
+def _on_rays(points: F64, shot: Shot, pixels: Bools, step: int) -> tuple[Ints, Ints]:
     """Rows (M,) of the points that chosen pixels show, and numbers (M,) of rays `step` wide."""
     uv, depth = shot.camera.project(points)
     height, width = pixels.shape

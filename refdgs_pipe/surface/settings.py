@@ -12,7 +12,7 @@ class CleanParams(Params):
 
     keep: Literal["object", "all"] = Field("all", description="object: no table or plate below it")
     base: Literal["open", "closed"] = Field(
-        "open", description="what no photo sees, where the object stands on the ground"
+        "open", description="closed: close the mesh on the ground that the object stands on"
     )
     floater: float = Field(
         0.08, ge=0, le=1, description="smaller loose pieces are removed, in ball diameters"

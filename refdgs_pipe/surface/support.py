@@ -33,6 +33,12 @@ NONE_FOUND = (
     "photos, or cut the mesh and adopt it"
 )
 
+NO_GROUND = (
+    "clean.base=closed: the base stays open, because the ground is not known, belongs to the "
+    "object, or all photos were taken from one side. Take photos all round the object on a "
+    "textured table, or close the mesh in another program and adopt it"
+)
+
 
 @dataclass(frozen=True)
 class Support:

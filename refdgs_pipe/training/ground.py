@@ -45,7 +45,7 @@ class Surroundings:
         return self.near(points, margin) & self.above(points)
 
 
-def closed_below(model: SparseModel, field: SurfelField) -> F64 | None:
+def ground_below(model: SparseModel, field: SurfelField) -> F64 | None:
     """(3,) unit normal of the ground through the world's origin, where a field has none of it.
 
     None where the ground is not known or part of the field, and for photos from one side: what

@@ -131,6 +131,15 @@ def test_a_missing_table_is_said_and_everything_stays(
     )
 
 
+def test_a_base_that_cannot_be_closed_is_said(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    show(monkeypatch, glossy_pair().surface_map)
+    model = model_of(orbit(24), Ball(np.zeros(3), 1.2))  # no points, so no ground
+    raw = run("extract", FIELD, model, voxel=0.02)
+    run("clean", raw, FIELD, model, base="closed", outlines=0)
+    (said,) = run.warnings()
+    assert "the base stays open" in said and "textured table" in said
+
+
 def test_an_empty_field_stops_at_extract(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     show(monkeypatch, Procedural((glossy_pair().solids[0],), waves).surface_map)
     model = model_of(orbit(4), Ball(np.array([9.0, 0, 0]), 0.5))

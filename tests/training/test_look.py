@@ -14,7 +14,7 @@ from training.test_trainer import SMALL, capture, model_of, quiet
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.surfel_field import SurfelField, SurfelSet
 from refdgs_pipe.errors import Cancelled
-from refdgs_pipe.training.ground import Surroundings, closed_below, left_to_background
+from refdgs_pipe.training.ground import Surroundings, ground_below, left_to_background
 from refdgs_pipe.training.look import Look, look
 from refdgs_pipe.training.losses import out_of_place
 from refdgs_pipe.training.photos import load_training_photos, shrunk
@@ -66,7 +66,7 @@ def test_gaps_are_closed_on_a_ground_that_is_known_and_not_the_objects() -> None
         model = replace(on_a_table(share), cameras=tuple(cameras))
         means = np.array([[0.1, 0.2, lowest], [0.1, 0.2, 0.4]])
         one = replace(field(), geometry=surfels(means), background=surfels(np.ones((behind, 3))))
-        up = closed_below(model, one)
+        up = ground_below(model, one)
         assert up is None or np.array_equal(up, model.up)
         return up is not None
 
