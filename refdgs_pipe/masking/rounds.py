@@ -25,7 +25,15 @@ from refdgs_pipe.masking.beyond import shown_room
 from refdgs_pipe.masking.colours import colour_evidence
 from refdgs_pipe.masking.cut import cut, without_false_holes
 from refdgs_pipe.masking.odds import calibrated
-from refdgs_pipe.masking.solid import agreed, covering, grid, pixels_of, silhouette
+from refdgs_pipe.masking.solid import (
+    agreed,
+    covering,
+    grid,
+    low,
+    pixels_of,
+    silhouette,
+    standing,
+)
 from refdgs_pipe.masking.table import (
     BLUR,
     Blur,
@@ -77,6 +85,7 @@ CERTAIN = 1.0  # evidence for the object, from which on a photo has to show some
 COLOUR, PRIOR = 0.5, 0.75  # of the evidence: colours, and the solid's silhouette
 INNER = 0.7  # of the silhouette's prior inside, at last
 FREE = 0.3  # of a mask, above which it denies nothing
+EDGE = 0.5  # of a cell: so far inside its outline the solid is sure
 LEAST_CELLS = 50
 FIRST_SELDOM, SELDOM = (0.25, 0.5), (0.1, 0.4)
 
@@ -174,7 +183,7 @@ class _Worker:
         threads: int,
         walls: list[Wall],
     ) -> None:
-        self.normal, self.offset = plane
+        self.normal, self.offset = self.plane = plane
         self.level, self.ball, self.threads = level, model.ball, threads
         self.inner = INNER if level is LAST else 1.0
         whole = whole_shots(views, model, level.side)
@@ -236,8 +245,10 @@ class _Worker:
             if solid.sum() < LEAST_CELLS:
                 return None
             solid = covering(self.cells, solid, self.shots, free, known, _sure(values, known))
+            solid = standing(self.cells, solid, self.shots, free, known, self.plane)
             outlines = self._silhouettes(solid)
             self.band = [max(2, round(band / 2)) for band in self.band]
+        values = self._with_contact(values, solid, outlines)
         masks = self._near_outlines(values, outlines)
         return self._placed(masks, outlines, solid, found.room)
 
@@ -274,6 +285,16 @@ class _Worker:
             near = grown(outline, 2 * band)
             more = COLOUR * doubt * np.where(near, colour, np.maximum(colour, 0))
             out.append(np.asarray(one.value + more, np.float32))
+        return out
+
+    def _with_contact(self, values: list[F32], solid: Bools, outlines: list[Bools]) -> list[F32]:
+        """(H, W) the evidence, where the solid shows at the contact at least that it is likely."""
+        foot = solid & low(self.cells, *self.plane)
+        out = []
+        for value, shot, outline in zip(values, self.shots, outlines, strict=True):
+            edge = max(1.0, EDGE * pixels_of(self.cells.size, shot, self.ball.center))
+            held = silhouette(self.cells, foot, shot) & (_signed_distance(outline) > edge)
+            out.append(np.where(held, np.minimum(value, -CERTAIN), value))
         return out
 
     def _cuts(self, values: list[F32]) -> list[F32]:

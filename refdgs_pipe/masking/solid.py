@@ -21,6 +21,8 @@ DOUBTED = 0.5  # share of the photos that can tell, which may deny a cell that c
 TIE = 0.05  # of that share: cells of one ray that differ by less are denied equally often
 MUCH = 0.25  # of the solid's silhouette: a photo that is sure of more is not sure of the object
 MOST = 0.06  # of the solid's cells that may come back: round a turntable photos are sure of more
+LOW = 0.06  # of the ball's radius: what lies lower is at the contact with the plane
+BARELY = 0.09  # share of the photos that can tell, which may deny a cell at the contact
 PIECE = 0.03  # of the largest piece's cells: smaller ones go
 
 
@@ -122,6 +124,55 @@ def covering(
     if back.sum() <= MOST * solid.sum():
         out[index[back]] = True
     return out
+
+
+def low(cells: Cells, normal: F64, offset: float) -> Bools:
+    """(n ** 3,) the cells at the contact with the plane normal . x = offset."""
+    highest = LOW * cells.size * cells.n / (2 * REACH)
+    return np.asarray(cells.inside & (cells.points @ normal - offset <= highest))
+
+
+def standing(
+    cells: Cells,
+    solid: Bools,
+    shots: list[Shot],
+    free: list[Bools],
+    known: list[Bools],
+    plane: tuple[F64, float],
+) -> Bools:
+    """(n ** 3,) the solid, and cells between it and the plane that few photos deny.
+
+    At the contact, a mirror shows the plane right beside the plane itself, and photos from one side
+    take it for that. A solid that ends just above the plane stands on it.
+
+    Args:
+        solid, free, known: as in `covering`.
+        plane: unit normal and offset.
+    """
+    near = low(cells, *plane)
+    index = np.flatnonzero(near & ~solid)
+    under = np.zeros(len(index), bool)
+    lowest = solid & near
+    for steps in range(1, cells.n):
+        above, there = _at(cells, cells.points[index] + steps * cells.size * plane[0])
+        there &= near[above]
+        if not there.any():
+            break
+        under |= there & lowest[above]
+    index = index[under]
+    index, seen, told, denied = _polled(cells, index, shots, free, known, BARELY)
+    back = (seen >= SHOWN * len(shots)) & (told >= KNOWN * len(shots)) & (denied <= BARELY * told)
+    out = solid.copy()
+    out[index[back]] = True
+    return out
+
+
+def _at(cells: Cells, points: F64) -> tuple[Ints, Bools]:
+    """(N,) rows of the cells that hold points (N, 3), and whether there are any."""
+    steps = np.rint((points - cells.points[0]) / cells.size).astype(np.int64)
+    there = ((steps >= 0) & (steps < cells.n)).all(1)
+    x, y, z = np.where(there[:, None], steps, 0).T
+    return (x * cells.n + y) * cells.n + z, np.asarray(there)
 
 
 def _polled(

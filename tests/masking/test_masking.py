@@ -18,7 +18,7 @@ from refdgs_pipe.ground.shots import Shot
 from refdgs_pipe.masking.cut import cut
 from refdgs_pipe.masking.files import distorted, write_masks
 from refdgs_pipe.masking.rounds import agreement, object_masks
-from refdgs_pipe.masking.solid import agreed, covering, grid, silhouette
+from refdgs_pipe.masking.solid import agreed, covering, grid, low, silhouette, standing
 
 BALL = Ball(np.array([0.0, 0.0, 0.45]), 1.0)
 UP = np.array([0.0, 0.0, 1.0])
@@ -143,11 +143,11 @@ def test_the_cut_follows_the_edge_between_uncertain_pixels() -> None:
     assert not inside[5:35, 20:].any()
 
 
-def eight_shots() -> tuple[list[Shot], list[np.ndarray]]:
+def ring_of_shots(count: int = 8) -> tuple[list[Shot], list[np.ndarray]]:
     """Photos of a ring without their colours, and where each shows the ball."""
     shots = []
-    for i in range(8):
-        one = camera(i, 8)
+    for i in range(count):
+        one = camera(i, count)
         nothing = np.zeros((*SIZE[::-1], 3), np.float32)
         shots.append(Shot(one, nothing, np.ones(SIZE[::-1], bool), (0, SIZE[0], 0, SIZE[1]), SIZE))
     return shots, [photographed(shot.camera)[1] for shot in shots]
@@ -155,7 +155,7 @@ def eight_shots() -> tuple[list[Shot], list[np.ndarray]]:
 
 def test_a_cell_that_photos_deny_is_not_solid() -> None:
     cells = grid(BALL, UP, 0.0, 32)
-    shots, truth = eight_shots()
+    shots, truth = ring_of_shots()
     known = [np.ones_like(t) for t in truth]
     solid = agreed(cells, shots, truth, known, UP, deny=0.0)
     distance = np.linalg.norm(cells.points - CENTER, axis=1)
@@ -168,7 +168,7 @@ def test_a_cell_that_photos_deny_is_not_solid() -> None:
 @pytest.mark.parametrize("lost", [0.2, 0.4])
 def test_a_little_that_photos_are_sure_of_comes_back_where_others_deny_it(lost: float) -> None:
     cells = grid(BALL, UP, 0.0, 32)
-    shots, truth = eight_shots()
+    shots, truth = ring_of_shots()
     known = [np.ones_like(t) for t in truth]
     free = [t.copy() for t in truth]
     for i in (0, 2, 4):  # photos from above lose the ball's far side
@@ -187,6 +187,28 @@ def test_a_little_that_photos_are_sure_of_comes_back_where_others_deny_it(lost: 
     away = np.linalg.norm(cells.points - CENTER, axis=1)
     assert away[added].max() < 1.3 * RADIUS
     assert np.mean(cells.points[added, 2] > CENTER[2]) > 0.95  # where it was lost
+
+
+@pytest.mark.parametrize("denying", [1, 4])
+def test_a_foot_that_one_photo_of_many_denies_comes_back(denying: int) -> None:
+    cells = grid(BALL, UP, 0.0, 64)
+    shots, truth = ring_of_shots(24)
+    free = [cv2.dilate(t.astype(np.uint8), np.ones((3, 3))) > 0 for t in truth]
+    known = [np.ones_like(t) for t in truth]
+    whole = agreed(cells, shots, free, known, UP, deny=0.0)
+    height = cells.points[:, 2]
+    foot = whole & (height < 0.03)
+    assert (foot <= low(cells, UP, 0.0)).all()
+    shoulder = whole & (height > 0.5)  # what is high does not come back
+    for i in range(denying):
+        free[i] &= ~silhouette(cells, foot, shots[i])
+    cut_off = whole & ~foot & ~shoulder
+    back = standing(cells, cut_off, shots, free, known, (UP, 0.0)) & ~cut_off
+    if denying > 1:
+        assert not back[foot].any()
+        return
+    assert back[foot].mean() > 0.9
+    assert not (back & ~whole)[height > 0.06].any() and not back[shoulder].any()
 
 
 def test_masks_are_written_as_the_lens_drew_the_photo(
