@@ -1,6 +1,7 @@
 """Find the object in photos that came without masks."""
 
 from functools import partial
+from pathlib import Path
 
 from refdgs_pipe.artifacts.masks import Masks
 from refdgs_pipe.artifacts.sparse_model import SparseModel
@@ -14,7 +15,9 @@ def masks(views: Views, model: SparseModel, params: MasksParams, job: Job) -> Ma
     """Tell the object from what it stands on and from the room, in all photos together."""
     import torch
 
+    from refdgs_pipe.masking.by_network import network_masks
     from refdgs_pipe.masking.files import write_masks
+    from refdgs_pipe.masking.network import Network
     from refdgs_pipe.masking.rounds import agreement, object_masks
     from refdgs_pipe.sfm.support import support_plane
 
@@ -22,10 +25,21 @@ def masks(views: Views, model: SparseModel, params: MasksParams, job: Job) -> Ma
         job.measure("masks", f"none: {reason}")
         return Masks(job.folder, (), "none", reason)
 
+    names = tuple(camera.name for camera in model.cameras)
     if views.background != "photo":
+        if params.model:
+            job.warn("the photos came with masks, so the network of masks.model was not asked")
         return Masks(job.folder, (), "given")
     if params.find == "off":
         return none("masks.find is off")
+    if params.model:
+        answer = network_masks(views, model, Network.of(params), job.progress, job.stop)
+        job.measure("network", Path(params.model).name)
+        job.measure("agreement of the masks", round(answer.agreement, 4), "of 1")
+        for text in answer.warnings(params.agreement):
+            job.warn(text)
+        write_masks(job.folder, views, model, answer.masks)
+        return Masks(job.folder, names, "network")
     plane = support_plane(model.points, model.ball.center, model.ball.radius, model.up)
     if plane is None:
         return none("the sparse points show no plane that the object stands on")
@@ -40,4 +54,4 @@ def masks(views: Views, model: SparseModel, params: MasksParams, job: Job) -> Ma
     if mean < params.agreement:
         return none(f"they agree by {mean:.1%} with one solid; {params.agreement:.1%} is asked for")
     write_masks(job.folder, views, model, found.masks)
-    return Masks(job.folder, tuple(camera.name for camera in model.cameras), "found")
+    return Masks(job.folder, names, "found")

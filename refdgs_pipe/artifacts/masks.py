@@ -13,7 +13,7 @@ from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.errors import CorruptError, InputError
 from refdgs_pipe.files.kinds import sniff
 
-Kind = Literal["given", "found", "adopted", "none"]
+Kind = Literal["given", "found", "network", "adopted", "none"]
 _FILE = "masks.json"
 
 
@@ -23,9 +23,10 @@ class Masks:
 
     Args:
         folder: holds NAME.png for each name: 8 bits, white is object, as large as the view's image.
-        names: of the views that have one here; empty unless `kind` is "found" or "adopted".
-        kind: "given": the photos came with masks; "found": from the photos themselves; "adopted":
-            the user's, in place of those that were found; "none": there are none, for `reason`.
+        names: of the views that have one here; empty if `kind` is "given" or "none".
+        kind: "given": the photos came with masks; "found": from the photos themselves; "network":
+            by the user's network; "adopted": the user's, in place of those that were made;
+            "none": there are none, for `reason`.
         reason: why there are none, in words; "" where there are.
     """
 

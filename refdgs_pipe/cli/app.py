@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from refdgs_pipe import __version__, recipe
+from refdgs_pipe.cli import mask_model
 from refdgs_pipe.cli import workspace as spaces
 from refdgs_pipe.cli.check import check_command
 from refdgs_pipe.cli.device import bytes_of, let_waiting_threads_sleep
@@ -83,6 +84,10 @@ def run_command(
     longest: Annotated[
         float | None, typer.Option("--size", help="the object's longest side in metres")
     ] = None,
+    network: Annotated[
+        str | None,
+        typer.Option("--mask-model", help="masks by your own network, ONNX", metavar="FILE"),
+    ] = None,
     dry_run: DryRun = False,
     device: Device = "auto",
     vram: Vram = "",
@@ -96,7 +101,9 @@ def run_command(
     """Make the asset, and whatever of the way to it is missing."""
     limit = bytes_of(vram)
     sized = [] if longest is None else [f"export.longest={longest}"]
-    space = spaces.open_for_run(photos, workspace, recipe_name, [*(assignments or []), *sized])
+    masked = [] if network is None else [mask_model.assignment(network)]
+    given = [*(assignments or []), *sized, *masked]
+    space = spaces.open_for_run(photos, workspace, recipe_name, given)
     again = {space.stage_name(name) for name in force or []}
     if start is not None:
         again |= space.pipeline.following(space.stage_name(start))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from refdgs_pipe.cli import report
+from refdgs_pipe.cli import mask_model, report
 from refdgs_pipe.cli.console import Console
 from refdgs_pipe.cli.device import choose_device, core_count
 from refdgs_pipe.cli.logs import RunLog
@@ -139,6 +139,8 @@ def _run_logged(
         )
         log.write("run", workspace=str(workspace.root), settings=settings_json(workspace))
         try:
+            if mask_model.STAGE in wanted & expected.keys():
+                mask_model.check(workspace.settings, stopper.stop)
             steps = run(workspace.pipeline, workspace.source, workspace.settings, listen, request)
         except Cancelled as error:
             ended = stopper.error(error)

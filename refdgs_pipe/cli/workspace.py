@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from refdgs_pipe import recipe
+from refdgs_pipe.cli import mask_model
 from refdgs_pipe.errors import CaptureError, InputError
 from refdgs_pipe.files.kinds import sniff
 from refdgs_pipe.params import Params
@@ -157,6 +158,7 @@ def open_workspace(
     found = recipe.load(memory.recipe)
     settings = recipe.resolve(found, memory.assignments, models, tell=tell)
     settings = _with_recipe_name(settings, memory.recipe)
+    settings = mask_model.with_digest(settings, pipeline.store)
     memory = replace(memory, assignments=recipe.without_former(memory.assignments, models))
     make: Any = pipeline.source
     return Workspace(root, memory, pipeline, make(paths=memory.photos), settings)

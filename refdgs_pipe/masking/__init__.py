@@ -1,1 +1,1 @@
-"""The object's masks from the photos themselves: no network, no strokes."""
+"""The object's masks from the photos themselves, or by a network of the user's."""

@@ -1,8 +1,10 @@
 """Settings of the stage `masks`."""
 
-from typing import Literal
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, Literal
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from refdgs_pipe.params import Params
 
@@ -17,6 +19,45 @@ class MasksParams(Params):
         0.9,
         ge=0,
         le=1,
-        description="masks that agree less with the solid that all of them show are not used "
-        "(intersection over union)",
+        description="masks that agree less with the solid that all of them show are not used; "
+        "those of a network are, with a warning (intersection over union)",
     )
+    model: str = Field(
+        "",
+        max_length=4096,
+        description="your own segmentation network as an ONNX file, an absolute path; empty: none",
+    )
+    model_digest: str = Field("", max_length=64, description="hash of that file, as a run finds it")
+    model_input: Literal["imagenet", "0..1", "-0.5..0.5", "-1..1"] = Field(
+        "imagenet",
+        description="what the network is fed: RGB in [0, 1] less ImageNet's mean, by its standard "
+        "deviation; or RGB from the first to the second number",
+    )
+
+    @field_validator("model")
+    @classmethod
+    def _absolute(cls, path: str) -> str:
+        if path and not Path(path).is_absolute():
+            raise ValueError("an absolute path; `run --mask-model FILE` takes any")
+        return path
+
+    def hashed(self) -> list[dict[str, Any]]:
+        """The settings as keys hold them: the network by its content, and only if there is one."""
+        network = {
+            "model": self.model_digest,
+            "model_input": self.model_input,
+            "onnxruntime": _runtime(),
+        }
+        return [
+            {name: value for name, value in plain.items() if not name.startswith("model")}
+            | (network if self.model else {})
+            for plain in super().hashed()
+        ]
+
+
+def _runtime() -> str:
+    """The version of onnxruntime: a stage's `programs` would be in keys without a network too."""
+    try:
+        return version("onnxruntime")
+    except PackageNotFoundError:
+        return "not installed"

@@ -43,9 +43,10 @@ def masks(facts: Facts, _: Drawing) -> Html:
         name = views[camera.name].source or camera.name
         size = (pixels.shape[1], pixels.shape[0])
         figures.append(figure(image(webp(pixels, 78), f"the object in {name}", size), name))
+    maker = "Your network made these masks. " if found.kind == "network" else ""
     words = (
-        "What is dark is taken for surroundings. Where that is wrong, edit the masks and adopt "
-        "them: `refdgs-pipe adopt WORKSPACE masks FOLDER`."
+        f"{maker}What is dark is taken for surroundings. Where that is wrong, edit the masks and "
+        "adopt them: `refdgs-pipe adopt WORKSPACE masks FOLDER`."
     )
     return joined(tag("p", words, class_="hint"), tag("div", *figures, class_="tripled overlay"))
 
