@@ -31,6 +31,7 @@ HEAVY = {
     "rawpy",
     "scipy",
     "PIL",
+    "onnxruntime",
 }
 
 
@@ -225,7 +226,14 @@ def test_every_setting_is_read_somewhere() -> None:
 
 def test_every_library_that_is_imported_is_a_declared_dependency() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    declared = {re.split(r"[<>=;\[ ]", line)[0].lower() for line in project["dependencies"]}
+    extras = [
+        line
+        for name, lines in project["optional-dependencies"].items()
+        for line in lines
+        if name != "dev"
+    ]
+    lines = [*project["dependencies"], *extras]
+    declared = {re.split(r"[<>=;\[ ]", line)[0].lower() for line in lines}
     names = {"cv2": "opencv-contrib-python-headless", "PIL": "pillow", "pxr": "usd-core"}
     names |= {"open3d": "open3d-cpu"}
     imported = set()

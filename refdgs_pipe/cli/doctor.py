@@ -30,6 +30,7 @@ LIBRARIES = {
     "pxr": ("usd-core", ""),
     "safetensors": ("safetensors", ""),
 }
+OPTIONAL = {"onnxruntime": ("mask-model", "--mask-model")}  # module -> (extra, what needs it)
 ENOUGH_DISK = 5_000_000_000
 ENOUGH_MEMORY = 4_000_000_000
 
@@ -48,6 +49,7 @@ def examine() -> list[Finding]:
     """Look at everything. Libraries are loaded in processes of their own: some abort."""
     findings = [_python(), _native()]
     findings += [_library(module, *entry) for module, entry in LIBRARIES.items()]
+    findings += [_optional(module, *entry) for module, entry in OPTIONAL.items()]
     return [*findings, _gpu(), _cores(), _memory(), _disk()]
 
 
@@ -94,6 +96,15 @@ def _library(module: str, distribution: str, packages: str) -> Finding:
         fix = system or f"pip install --force-reinstall {distribution}"
         return Finding(module, False, _first_line(error), fix)
     return Finding(module, True, _version(distribution))
+
+
+def _optional(module: str, extra: str, user: str) -> Finding:
+    """A library that only one option needs: it may be missing, but not broken."""
+    found = _library(module, module, "")
+    if found.ok or found.text != "not installed":
+        return found
+    fix = f"pip install 'refdgs-pipe[{extra}]'"
+    return Finding(module, True, f"not installed; only {user} needs it: {fix}")
 
 
 def _gpu() -> Finding:

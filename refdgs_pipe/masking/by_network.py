@@ -21,10 +21,11 @@ OnProgress = Callable[[str, int, int | None], None]
 STEEP = 4.0  # of the rise from surroundings to object, round a probability of a half
 LOOK_SIDE = 400  # px: photos at which masks are compared with a solid
 LEAST_CELLS = 50
-GROWTH = 0.5  # cells by which a mask is widened before it denies
+GROWTH = 0.25  # cells by which a mask is widened before it denies
 WIDE = 1.5  # radii of the model's ball, which is a guess, that the solid is looked for in
 COARSE, FINE = (64, 0.15), (96, 0.08)  # cells along an edge, share of the photos that may deny one
 ODD = 0.7  # agreement below which a single photo is named
+FULL = 0.9  # share of a picture: masks of more than that tell nothing from anything
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,12 @@ class Told:
                 f"({_some(empty)}). There the outline of the solid that the other masks show is "
                 "taken. If it is wrong in the report, leave these photos out, or edit the masks "
                 "and adopt them"
+            )
+        covered = float(np.median([np.mean(mask > 0.5) for mask in self.masks]))
+        if covered > FULL:
+            said.append(
+                f"the network takes {covered:.0%} of the pictures for the object. Look at the "
+                "section Masks of the report; try another masks.model_input or another network"
             )
         order = np.argsort(self.shares, kind="stable")
         worst = [self.photos[i] for i in order if self.shown[i]]

@@ -35,6 +35,14 @@ def test_a_library_that_cannot_be_loaded_names_its_system_packages(
     assert finding.fix == "apt-get install libgl1"
 
 
+def test_a_library_that_only_one_option_needs_may_be_missing() -> None:
+    finding = doctor._optional("no_such_module", "mask-model", "--mask-model")
+    assert finding.ok
+    assert finding.text == (
+        "not installed; only --mask-model needs it: pip install 'refdgs-pipe[mask-model]'"
+    )
+
+
 def test_without_a_driver_auto_is_the_cpu_and_cuda_is_refused(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
