@@ -103,7 +103,7 @@ def _optional(module: str, extra: str, user: str) -> Finding:
     found = _library(module, module, "")
     if found.ok or found.text != "not installed":
         return found
-    fix = f"pip install 'refdgs-pipe[{extra}]'"
+    fix = f"pip install {module} (the extra {extra})"
     return Finding(module, True, f"not installed; only {user} needs it: {fix}")
 
 

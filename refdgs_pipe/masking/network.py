@@ -244,8 +244,8 @@ def _session(data: bytes, label: str) -> Any:
 def missing_runtime(reason: str) -> str:
     """What to say where onnxruntime cannot be imported."""
     return (
-        f"masks.model needs onnxruntime, which cannot be used ({reason}). Install it with "
-        "`pip install 'refdgs-pipe[mask-model]'`, or go without a network: --mask-model \"\""
+        f"masks.model needs onnxruntime, which cannot be used ({reason}). Install it (`pip install "
+        'onnxruntime`; it is the extra mask-model), or go without a network: --mask-model ""'
     )
 
 

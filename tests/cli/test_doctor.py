@@ -38,9 +38,7 @@ def test_a_library_that_cannot_be_loaded_names_its_system_packages(
 def test_a_library_that_only_one_option_needs_may_be_missing() -> None:
     finding = doctor._optional("no_such_module", "mask-model", "--mask-model")
     assert finding.ok
-    assert finding.text == (
-        "not installed; only --mask-model needs it: pip install 'refdgs-pipe[mask-model]'"
-    )
+    assert finding.text.startswith("not installed; only --mask-model needs it: pip install ")
 
 
 def test_without_a_driver_auto_is_the_cpu_and_cuda_is_refused(
