@@ -93,7 +93,6 @@ def bring_up_to(
     if options.device != "auto":
         choose_device(options.device)
     with workspace.pipeline.store.lock():
-        workspace.memory.write(workspace.root)
         if stopper is not None:
             return _run_logged(workspace, options, stopper, also)
         with Stopper() as own:
@@ -104,13 +103,16 @@ def _run_logged(
     workspace: Workspace, options: Options, stopper: Stopper, also: Emit
 ) -> tuple[list[Step], dict[str, float]]:
     """Run with the log, the console and `also` listening."""
-    log, made = RunLog(workspace.root), dict[str, float]()
     expected = {
         step.stage.name: step.expected_s
         for step in workspace.status()
         if step.manifest is None or step.stage.name in options.force
     }
     wanted = {stage.name for stage in workspace.pipeline.needed_for(options.until)}
+    if mask_model.STAGE in wanted & expected.keys():
+        _try_network(workspace, stopper)
+    workspace.memory.write(workspace.root)
+    log, made = RunLog(workspace.root), dict[str, float]()
     console = Console(
         {name: seconds for name, seconds in expected.items() if name in wanted},
         verbosity=options.verbosity,
@@ -139,8 +141,6 @@ def _run_logged(
         )
         log.write("run", workspace=str(workspace.root), settings=settings_json(workspace))
         try:
-            if mask_model.STAGE in wanted & expected.keys():
-                mask_model.check(workspace.settings, stopper.stop)
             steps = run(workspace.pipeline, workspace.source, workspace.settings, listen, request)
         except Cancelled as error:
             ended = stopper.error(error)
@@ -152,6 +152,14 @@ def _run_logged(
         finally:
             log.close()
     return steps, made
+
+
+def _try_network(workspace: Workspace, stopper: Stopper) -> None:
+    """Refuse a network for masks that cannot be used, before the workspace remembers it."""
+    try:
+        mask_model.check(workspace.settings, stopper.stop)
+    except Cancelled as error:
+        raise stopper.error(error) from None
 
 
 def print_plan(workspace: Workspace, until: str | None, again: set[str], *, as_json: bool) -> None:

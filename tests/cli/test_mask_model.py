@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from refdgs_pipe.cli import mask_model
 from refdgs_pipe.cli.app import app
-from refdgs_pipe.cli.workspace import Workspace, open_for_run, open_workspace
+from refdgs_pipe.cli.workspace import Workspace, is_workspace, open_for_run, open_workspace
 from refdgs_pipe.errors import InputError
 from refdgs_pipe.pipeline.store import Manifest, Origin, Record
 
@@ -73,7 +73,8 @@ def test_what_is_no_network_ends_a_run_before_its_first_stage(
     result = CliRunner().invoke(app, ["run", str(photos), "--mask-model", str(network), "-q"])
     assert isinstance(result.exception, InputError)
     assert "not an ONNX model" in str(result.exception)
-    assert not (tmp_path / "photos.refdgs" / "ingest").exists()
+    work = tmp_path / "photos.refdgs"
+    assert not (work / "ingest").exists() and not is_workspace(work)
 
 
 def made_by(space: Workspace, name: str) -> Manifest:
