@@ -1,0 +1,65 @@
+"""The captures: half of them for choosing limits, half for checking only."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import objects as o
+import places as p
+from capture import tex_newspaper
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """One capture.
+
+    Args:
+        checking: whether the capture is for checking only; no limit may be chosen on it.
+        lens: (k1, k2) of OpenCV's radial distortion.
+        focal: in millimetres for a sensor 36 mm wide.
+        drift: standard deviation of the photos' exposure, in stops.
+        shake: longest motion blur, in pixels.
+        noise: standard deviation of the noise at full scale, linear.
+    """
+
+    objects: Callable[[], o.Objects]
+    table: Callable[[int], np.ndarray]
+    room: str
+    cameras: Callable[[int, np.random.Generator], list[tuple[np.ndarray, np.ndarray]]]
+    seed: int
+    checking: bool = False
+    size: tuple[int, int] = (640, 480)
+    photos: int = 32
+    lens: tuple[float, float] = (0.0, 0.0)
+    focal: float = 35.0
+    drift: float = 0.0
+    shake: float = 0.0
+    noise: float = 1e-3
+
+
+def papers(seed: int) -> np.ndarray:
+    """Newspapers on a wooden table, the generator's own."""
+    return tex_newspaper(seed=seed)
+
+
+PHONE = {"lens": (0.04, -0.03), "focal": 26.0, "drift": 0.06, "shake": 1.2, "noise": 2e-3}
+UPRIGHT = (480, 640)
+
+RECIPES = {
+    "chest": Recipe(o.mirror_box, p.planks, "office", p.rings, seed=3),
+    "bowl": Recipe(o.gold_bowl, p.stone, "square", p.spiral, seed=5, lens=(-0.06, 0.02)),
+    "tin": Recipe(o.tin, p.gingham, "attic", p.spiral, seed=7, size=UPRIGHT, **PHONE),
+    "bear": Recipe(o.bear, p.mosaic, "office", p.rings, seed=9),
+    "pot": Recipe(o.pot, papers, "studio", p.rings, seed=11, drift=0.05),
+    "pyramid": Recipe(o.pyramid, p.stone, "attic", p.spiral, seed=13),
+    "toaster": Recipe(o.toaster, p.gingham, "room_b", p.rings, seed=15, checking=True),
+    "jug": Recipe(o.white_jug, p.linen, "office", p.spiral, seed=17, checking=True),
+    "cushion": Recipe(o.ball_on_cushion, p.mosaic, "square", p.rings, seed=19, checking=True),
+    "nut": Recipe(
+        o.nut, p.planks, "studio", p.spiral, seed=21, checking=True, size=UPRIGHT, **PHONE
+    ),
+    "candle": Recipe(o.candlestick, p.gingham, "attic", p.rings, seed=23, checking=True),
+    "lacquer": Recipe(
+        o.lacquer_box, papers, "square", p.three_quarters, seed=25, checking=True, drift=0.05
+    ),
+}
