@@ -10,7 +10,7 @@ from refdgs_pipe.pipeline.stage import Job, stage
 from refdgs_pipe.surface.settings import CleanParams
 
 
-@stage(version=7, programs=("pymeshlab", "open3d-cpu"))
+@stage(version=8, programs=("pymeshlab", "open3d-cpu"))
 def clean(
     raw: RawMesh, field: SurfelField, model: SparseModel, params: CleanParams, job: Job
 ) -> Mesh:
@@ -43,7 +43,6 @@ def clean(
     )
     if (lost := done.removed.area_share) > 0.2:
         job.warn(f"{lost:.0%} of the fused surface was loose pieces and is removed")
-    # A removed table still covers what is behind the object: such outlines are too far to count.
     draw = partial(render.render_surface_map, field, device=job.device, threads=job.threads)
     mesh, flats = fitted(
         done.mesh,
@@ -52,6 +51,7 @@ def clean(
         rounds=params.outlines,
         faces=params.faces,
         flatten=params.flatten,
+        ground=level,
         track=job.track,
     )
     for name, value, unit in [*replace(done, mesh=mesh).figures(), *support.figures(under)]:

@@ -7,8 +7,13 @@ outside, so the plane lies along the lower side of the places that outlines hold
 
 A part counts as flat if it is nearly plane already, if the surface bends away all around it, if
 outlines hold some of it, and if the views' colours do not determine its depth.
+
+Where all cameras look down, the solid that the outlines allow bulges on a flat top as steeply as
+the lowest camera looks. Such a bulge is no longer nearly plane. It becomes one if views agree far
+better on what a plane would mirror than on what the bulge would.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +23,7 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 
 from refdgs_pipe.artifacts.mesh import TriangleMesh
 from refdgs_pipe.received import links_of
+from refdgs_pipe.surface.mirrored import Glimpse, mirror_agreement
 from refdgs_pipe.surface.silhouettes import MOST, spread_evenly
 
 F64 = NDArray[np.float64]
@@ -27,6 +33,7 @@ Bools = NDArray[np.bool_]
 SMOOTH = 0.01  # of the ball's diameter, by which normals are smoothed before they are compared
 TILT = np.cos(np.radians(12.0))  # between a place's normal and the plane's
 NEAR = 1.5  # limits that a place of the part may lie off its plane
+BULGE_TILT, BULGE_NEAR = np.cos(np.radians(20.0)), 5.0  # the same, of a bulge on a mirror
 LEAST_AREA = 0.05  # of the mesh's area: outlines alone hold smaller parts well enough
 # Root mean square tilt: a strip of a tube that ends at TILT has 6.9 or more, a dome 8.5. Where a
 # strip is WIDE, its tube is so wide that it does not bend away at the strip's border.
@@ -41,7 +48,11 @@ TOLD = 0.05  # of `disagreement`, in views, from which on colours tell the depth
 INWARDS = 0.75  # weight of places inside the plane; those outside it have the rest
 UNHELD = 0.02  # weight of a place that no outline holds, against one outline
 GROW_ROUNDS, PLANE_ROUNDS = 6, 12
-_DIRECTIONS, _TOWARDS = 600, np.cos(np.radians(10.0))
+AGREES = 0.5  # of the bulge's misfit, and of the colours' spread: the most for a plane mirror
+TOLD_APART = 0.02  # spread of the mirrored colours, sRGB: what is plainer tells nothing
+ENOUGH = 200  # samples that are compared
+SEEN = 0.05  # diameters by which the depth that a view shows may differ
+_DIRECTIONS, _TOWARDS, _TOWARDS_BULGE = 600, np.cos(np.radians(10.0)), np.cos(np.radians(16.0))
 _FIRM, _REST = 1e4, 3.0  # of the flat part's place; of the rest's staying
 
 
@@ -54,20 +65,51 @@ class Flat:
     normal: F64
 
 
+@dataclass(frozen=True)
+class Mirrored:
+    """What views see, to judge what a surface mirrors.
+
+    Args:
+        glimpses: of the training cameras.
+        ground: (3,) unit normal of the ground through the world's origin; None if not known.
+    """
+
+    glimpses: Sequence[Glimpse]
+    ground: F64 | None = None
+
+
 def flats_of(
-    mesh: TriangleMesh, held: F64, told: F64, *, limit: float, diameter: float
+    mesh: TriangleMesh,
+    held: F64,
+    told: F64,
+    *,
+    limit: float,
+    diameter: float,
+    mirrored: Mirrored | None = None,
 ) -> list[Flat]:
-    """The flat parts whose depth only outlines tell, largest first.
+    """The flat parts whose depth only outlines tell: those nearly plane, then bulges on mirrors.
 
     Args:
         held: (V,) views on whose outline each vertex lies, as from `outline_pull`.
         told: (V,) how much colours tell of its depth, as from `disagreement`.
         limit: as `fit_views` has it, world units; NEAR of it belong to a plane.
         diameter: of the object ball, world units.
+        mirrored: without it no bulges are looked for.
     """
     net = _Net.of(mesh, diameter)
     held = np.minimum(held, MOST)
-    free, seen = np.ones(len(held), bool), np.zeros(len(held), bool)
+    free = np.ones(len(held), bool)
+    found = _nearly_plane(net, free, held, told, limit=limit, diameter=diameter)
+    if mirrored is not None:
+        found += _bulges(net, free, held, told, limit=limit, diameter=diameter, mirrored=mirrored)
+    return found
+
+
+def _nearly_plane(
+    net: "_Net", free: Bools, held: F64, told: F64, *, limit: float, diameter: float
+) -> list[Flat]:
+    """Parts that are nearly plane, largest first. They are taken from what is `free`."""
+    seen = np.zeros(len(held), bool)
     facing = net.smooth @ _directions().T > _TOWARDS
     tried = np.zeros(facing.shape[1], bool)
     least, found = LEAST_AREA * net.area.sum(), []
@@ -91,6 +133,69 @@ def flats_of(
                 free &= ~part
                 found.append(Flat(np.flatnonzero(part), center, normal))
     return found
+
+
+def _bulges(
+    net: "_Net",
+    free: Bools,
+    held: F64,
+    told: F64,
+    *,
+    limit: float,
+    diameter: float,
+    mirrored: Mirrored,
+) -> list[Flat]:
+    """Bulges that views show to be plane mirrors, largest first; taken from what is `free`.
+
+    Outlines hold a bulge where it ends, so its plane is that of the held places.
+    """
+    seen = np.zeros(len(held), bool)
+    facing = net.smooth @ _directions().T > _TOWARDS_BULGE
+    least, found = LEAST_AREA * net.area.sum(), []
+    for best in np.argsort(-(net.area * free) @ facing, kind="stable"):
+        starts = _pieces(net, free & ~seen & facing[:, best], least)
+        if not starts:
+            if net.area[free & facing[:, best]].sum() < least:
+                break
+            continue
+        for start in starts:
+            part = _grown(net, start, free, BULGE_NEAR * limit, BULGE_TILT)
+            if part is None or net.area[part].sum() < least:
+                continue
+            seen |= part
+            firm = part & (held > 0)
+            if np.median(told[part]) >= TOLD or not _is_held(net, part, held):
+                continue
+            outwards = net.outwards(part)
+            if _bent_share(net, part, outwards, BEYOND * diameter) < BENT_SHARE:
+                continue
+            center, normal = _lower_plane(net.points[firm], net.area[firm] * held[firm], outwards)
+            if _mirrors_as_plane(net, part, center, normal, mirrored, diameter):
+                free &= ~part
+                found.append(Flat(np.flatnonzero(part), center, normal))
+    return found
+
+
+def _mirrors_as_plane(
+    net: "_Net", part: Bools, center: F64, normal: F64, mirrored: Mirrored, diameter: float
+) -> bool:
+    """Whether views agree far better on what the plane would mirror than on the part as it is."""
+    points = net.points[part]
+    plane = points - ((points - center) @ normal)[:, None] * normal
+    shapes = ((points, net.smooth[part]), (plane, np.tile(normal, (len(plane), 1))))
+    now, flat = (
+        mirror_agreement(
+            *shape,
+            mirrored.glimpses,
+            near=SEEN * diameter,
+            ground=mirrored.ground,
+            radius=diameter / 2,
+        )
+        for shape in shapes
+    )
+    if min(now.count, flat.count) < ENOUGH or flat.spread < TOLD_APART:
+        return False
+    return flat.misfit <= AGREES * min(now.misfit, flat.spread)
 
 
 def flattened(mesh: TriangleMesh, flats: list[Flat]) -> TriangleMesh:
@@ -192,13 +297,13 @@ def _plane(points: F64, weight: F64) -> tuple[F64, F64]:
     return center, np.linalg.eigh((away * weight[:, None]).T @ away)[1][:, 0]
 
 
-def _grown(net: _Net, part: Bools, free: Bools, reach: float) -> Bools | None:
+def _grown(net: _Net, part: Bools, free: Bools, reach: float, tilt: float = TILT) -> Bools | None:
     """The connected vertices near the plane of a part, and turned like it; None for none."""
     for _ in range(GROW_ROUNDS):
         center = np.average(net.points[part], axis=0, weights=net.area[part])
         normal = net.outwards(part)
         near = np.abs((net.points - center) @ normal) < reach
-        pieces = _pieces(net, free & near & (net.smooth @ normal > TILT), 0.0)
+        pieces = _pieces(net, free & near & (net.smooth @ normal > tilt), 0.0)
         shared = [float(net.area[piece & part].sum()) for piece in pieces]
         if not shared or max(shared) == 0:
             return None

@@ -56,4 +56,4 @@ def own_surface(
         )
     except (ChildCrashed, ChildTimeout, RuntimeError) as error:
         raise MeshError(f"the mesh could not be cleaned ({error})") from error
-    return fitted(done.mesh, model, draw, rounds=ROUNDS, faces=FACES, track=track)[0]
+    return fitted(done.mesh, model, draw, rounds=ROUNDS, faces=FACES, ground=ground, track=track)[0]

@@ -12,7 +12,8 @@ from refdgs_pipe.artifacts.surface_map import SurfaceMap
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.received import links_of
 from refdgs_pipe.surface.agreement import Pattern, disagreement
-from refdgs_pipe.surface.flats import flats_of, flattened
+from refdgs_pipe.surface.flats import Mirrored, flats_of, flattened
+from refdgs_pipe.surface.mirrored import Glimpse
 from refdgs_pipe.surface.rims import fit_rims
 from refdgs_pipe.surface.silhouettes import MOST, Outline, outline_pull, spread_evenly
 from refdgs_pipe.surface.walls import with_walls
@@ -23,6 +24,7 @@ F64 = NDArray[np.float64]
 _LONGEST = 640  # pixels: more do not make an outline much sharper
 _COVERED = 0.5  # alpha
 _LIMIT = 0.01  # diameters of the object ball: what lies further off is another part's
+# (a table that was removed still covers what is behind the object)
 _BLUR = (1.5, 1.0)  # pixels, in the first round and then: further, then finer
 
 
@@ -48,6 +50,7 @@ def fitted(
     rounds: int,
     faces: int,
     flatten: bool = True,
+    ground: F64 | None = None,
     track: Callable[[list[Camera], str], Iterable[Camera]],
 ) -> tuple[Mesh, int]:
     """The mesh fitted to what training cameras see of the object, with walls below its rims.
@@ -56,6 +59,7 @@ def fitted(
         draw: what a camera sees.
         faces: the most that the mesh may have with its walls.
         flatten: whether flat parts whose depth only outlines tell become planes.
+        ground: (3,) unit normal of the ground through the world's origin, if it is known.
         track: wraps the cameras, to report progress under a label.
 
     Returns:
@@ -65,16 +69,24 @@ def fitted(
         return mesh, 0
     cameras = model.training_cameras
     limit = _LIMIT * 2 * model.ball.radius
-    outlines, patterns = [], []
+    outlines, patterns, glimpses = [], [], []
     for camera in track(cameras, "looking at outlines"):
         view = draw(camera.fitted(_LONGEST))
         outlines.append(Outline.of(view.camera, view.alpha >= _COVERED))
         patterns.append(Pattern(view, near=limit))
+        glimpses.append(Glimpse.of(view))
     fit = fit_views(mesh, outlines, patterns, limit=limit, rounds=rounds)
     diameter = 2 * model.ball.radius
     flats = []
     if flatten:
-        flats = flats_of(fit.mesh, fit.held, fit.told, limit=limit, diameter=diameter)
+        flats = flats_of(
+            fit.mesh,
+            fit.held,
+            fit.told,
+            limit=limit,
+            diameter=diameter,
+            mirrored=Mirrored(glimpses, ground),
+        )
     moved = flattened(fit.mesh, flats)
     moved = with_walls(moved, outlines, limit=limit, faces=faces)
     return Mesh(moved.vertices, moved.faces), len(flats)
