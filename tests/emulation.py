@@ -9,7 +9,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from refdgs_pipe.ops import cuda
+from refdgs_pipe.ops import cuda, native
+from refdgs_pipe.ops.registry import using
 
 GUARD = 64  # bytes before and after; 0xff.. is a NaN in every float type
 ORDERS = [0, 1, 7]  # threads first to last, last to first, and shuffled
@@ -49,13 +50,12 @@ def emulated(order: int = 0) -> Iterator[None]:
     memory = Guarded()
 
     def kernels(name: str, like: Tensor) -> Callable[..., Any]:
-        return partial(getattr(module, f"{name}_{cuda.suffix(like)}"), order)
+        return partial(getattr(module, f"{name}_{native.suffix(like)}"), order)
 
     def memory_like(like: Tensor, *size: Any, **kind: torch.dtype) -> Tensor:
         return memory.new_empty(like, *size, **kind)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(cuda, "on_gpu", lambda tensor: True)
         patch.setattr(cuda, "kernels", kernels)
         patch.setattr(cuda, "memory", memory)
         patch.setattr(
@@ -63,5 +63,6 @@ def emulated(order: int = 0) -> Iterator[None]:
         )
         patch.setattr(torch, "empty_like", memory.empty_like)
         patch.setattr(cuda, "processors", lambda like: 1)
-        yield
+        with using("gpu"):
+            yield
     memory.check()

@@ -1,12 +1,14 @@
 """Differentiable operations on surfels and maps, each defined by a torch reference in float64."""
 
+from refdgs_pipe.ops.adam import adam_step, rates_of
+from refdgs_pipe.ops.clip import clip
+from refdgs_pipe.ops.definition.rasterize import rotation_matrices
 from refdgs_pipe.ops.image_loss import image_loss, image_loss_and_error, ssim, ssim_map
 from refdgs_pipe.ops.mlp import mlp
 from refdgs_pipe.ops.photo import composited, mask_entropy
 from refdgs_pipe.ops.plan import Later, Plan
-from refdgs_pipe.ops.rasterize import Maps, Pinhole, ScreenStatistics, Surfels, rasterize
+from refdgs_pipe.ops.rasterize import rasterize
 from refdgs_pipe.ops.shade import (
-    clip,
     composite,
     covered_pixels,
     normal_agreement,
@@ -14,14 +16,17 @@ from refdgs_pipe.ops.shade import (
     shading_inputs,
 )
 from refdgs_pipe.ops.sph_mip import mip_levels, sph_mip
+from refdgs_pipe.ops.types import Extra, Maps, Pinhole, ScreenStatistics, Surfels
 
 __all__ = [
+    "Extra",
     "Later",
     "Maps",
     "Pinhole",
     "Plan",
     "ScreenStatistics",
     "Surfels",
+    "adam_step",
     "clip",
     "composite",
     "composited",
@@ -34,6 +39,8 @@ __all__ = [
     "normal_agreement",
     "normal_smoothness",
     "rasterize",
+    "rates_of",
+    "rotation_matrices",
     "shading_inputs",
     "sph_mip",
     "ssim",

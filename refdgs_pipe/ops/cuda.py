@@ -9,11 +9,7 @@ import torch
 from torch import Tensor
 
 from refdgs_pipe.errors import DeviceError, ShapeError
-
-
-def on_gpu(tensor: Tensor) -> bool:
-    """Whether an operation on this tensor is the CUDA kernels' work."""
-    return tensor.device.type == "cuda"
+from refdgs_pipe.ops.native import suffix
 
 
 def check_gpu(name: str, tensor: Tensor) -> None:
@@ -44,11 +40,6 @@ def kernels(name: str, like: Tensor) -> Callable[..., Any]:
     """A function of the native module for the type of `like`, on torch's current stream."""
     found = getattr(native.cuda, f"{name}_{suffix(like)}")
     return partial(found, torch.cuda.current_stream(like.device).cuda_stream)
-
-
-def suffix(like: Tensor) -> str:
-    """How the native functions for this type end."""
-    return "float" if like.dtype == torch.float32 else "double"
 
 
 def processors(like: Tensor) -> int:

@@ -1,14 +1,20 @@
 """How far a rendered image is from a photo: L1 and SSIM and their gradient in one pass."""
 
-from typing import Any
-
-import _refdgs_native as native
 import torch
 from torch import Tensor
 
 from refdgs_pipe.errors import ShapeError
-from refdgs_pipe.ops import cuda, cuda_fused
 from refdgs_pipe.ops.checks import check_alike
+from refdgs_pipe.ops.cpu import image_loss as on_cpu
+from refdgs_pipe.ops.definition import image_loss as definition
+from refdgs_pipe.ops.gpu import image_loss as on_gpu
+from refdgs_pipe.ops.registry import Operation
+
+_IMAGE_LOSS = Operation(
+    "image_loss_and_error", definition.image_loss_and_error, on_cpu.ImageLoss, on_gpu.ImageLoss
+)
+_SSIM_MAP = Operation("ssim_map", definition.ssim_map, on_cpu.ssim_map, on_gpu.ssim_map)
+_SSIM_SUM = Operation("ssim", definition.ssim_sum, on_cpu.ssim_sum, on_gpu.ssim_sum)
 
 
 def image_loss(
@@ -56,13 +62,8 @@ def image_loss_and_error(
     _check(image, target, weight)
     if not 0 <= ssim_share <= 1:
         raise ShapeError(f"ssim_share is {ssim_share}: give 0 to 1")
-    if cuda.on_gpu(image):
-        on_gpu: tuple[Tensor, Tensor] = cuda_fused.ImageLoss.apply(  # type: ignore[no-untyped-call]
-            image, target, weight, ssim_share
-        )
-        return on_gpu
     count = threads or torch.get_num_threads()
-    pair: tuple[Tensor, Tensor] = _ImageLoss.apply(  # type: ignore[no-untyped-call]
+    pair: tuple[Tensor, Tensor] = _IMAGE_LOSS.kernel(image)(
         image, target, weight, ssim_share, count
     )
     return pair
@@ -78,9 +79,9 @@ def ssim_map(image: Tensor, target: Tensor, *, threads: int | None = None) -> Te
         ShapeError: sizes or types disagree.
     """
     _check(image, target, None)
-    planes = image.new_empty(image.shape[2], *image.shape[:2])
-    _run(image, target, None, (0.0, 0.0), threads or torch.get_num_threads(), ssim=planes)
-    return planes.permute(1, 2, 0)
+    count = threads or torch.get_num_threads()
+    similar: Tensor = _SSIM_MAP.kernel(image)(image, target, count)
+    return similar
 
 
 def ssim(image: Tensor, target: Tensor, *, threads: int | None = None) -> float:
@@ -92,68 +93,9 @@ def ssim(image: Tensor, target: Tensor, *, threads: int | None = None) -> float:
     _check(image, target, None)
     if not image.numel():
         raise ShapeError(f"image is {tuple(image.shape)}: the mean of nothing has no value")
-    _, similarity, _ = _run(image, target, None, (0.0, 0.0), threads or torch.get_num_threads())
-    return similarity / image.numel()
-
-
-def _run(
-    image: Tensor,
-    target: Tensor,
-    weight: Tensor | None,
-    scales: tuple[float, float],
-    threads: int,
-    *,
-    gradient: Tensor | None = None,
-    ssim: Tensor | None = None,
-) -> tuple[float, float, float]:
-    """Weighted sums of |image - target|, SSIM and squares; fills `gradient`, `ssim`, (C, H, W)."""
-    if cuda.on_gpu(image):
-        each = image.new_ones(1)
-        found: list[float] = cuda_fused.compare(
-            image, target, weight, each, scales, ssim=ssim
-        ).tolist()
-        return found[0], found[1], found[2]
-    run = native.image_loss_float if image.dtype == torch.float32 else native.image_loss_double
-    sums: tuple[float, float, float] = run(
-        list(image.shape),
-        image.data_ptr(),
-        list(image.stride()),
-        target.data_ptr(),
-        list(target.stride()),
-        0 if weight is None else weight.data_ptr(),
-        *scales,
-        threads,
-        0 if gradient is None else gradient.data_ptr(),
-        0 if ssim is None else ssim.data_ptr(),
-    )
-    return sums
-
-
-class _ImageLoss(torch.autograd.Function):
-    """The loss is a scalar, so forward computes the whole gradient and backward scales it."""
-
-    @staticmethod
-    def forward(
-        ctx: Any, image: Tensor, target: Tensor, weight: Tensor | None, share: float, threads: int
-    ) -> tuple[Tensor, Tensor]:
-        weight = None if weight is None else weight.contiguous()
-        height, width, channels = image.shape
-        total = (height * width if weight is None else float(weight.sum())) * channels
-        each = 1 / total if total > 0 else 0.0
-        scales = ((1 - share) * each, -share * each)
-        needed = ctx.needs_input_grad[0]
-        gradient = image.new_empty(channels, height, width) if needed else None
-        l1, similarity, squares = _run(image, target, weight, scales, threads, gradient=gradient)
-        ctx.gradient = gradient
-        constant = share if total > 0 else 0.0
-        error = image.new_tensor(each * squares)
-        ctx.mark_non_differentiable(error)
-        return image.new_tensor(constant + scales[0] * l1 + scales[1] * similarity), error
-
-    @staticmethod
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
-        planes = ctx.gradient if float(grads[0]) == 1 else ctx.gradient * grads[0]
-        return planes.permute(1, 2, 0), None, None, None, None
+    count = threads or torch.get_num_threads()
+    total: float = _SSIM_SUM.kernel(image)(image, target, count)
+    return total / image.numel()
 
 
 def _check(image: Tensor, target: Tensor, weight: Tensor | None) -> None:

@@ -1,22 +1,24 @@
 """The shader's network on many pixels at once."""
 
 from collections.abc import Sequence
-from typing import Any
 
-import _refdgs_native as native
 import torch
 from torch import Tensor
 
 from refdgs_pipe.errors import ShapeError
-from refdgs_pipe.ops import cuda, cuda_fused
 from refdgs_pipe.ops.checks import check_alike
+from refdgs_pipe.ops.cpu import mlp as on_cpu
+from refdgs_pipe.ops.definition import mlp as definition
+from refdgs_pipe.ops.gpu import mlp as on_gpu
+from refdgs_pipe.ops.registry import Operation
 
 HIDDEN = 64
 MAX_INPUTS = 32
 MAX_TABLES = 4
 MAX_OUTPUTS = 4
 MAX_HIDDEN_LAYERS = 8
-MOST_KEPT = 64 << 20  # pairs of hidden values: 256 MiB, about 700,000 points of three layers
+
+_MLP = Operation("mlp", definition.mlp, on_cpu.Mlp, on_gpu.mlp)
 
 
 def mlp(
@@ -55,77 +57,11 @@ def mlp(
     """
     tables = [x] if isinstance(x, Tensor) else [t if t.ndim > 1 else t[:, None] for t in x]
     _check(tables, weights, biases)
-    if cuda.on_gpu(tables[0]):
-        on_gpu: Tensor = cuda_fused.Mlp.apply(  # type: ignore[no-untyped-call]
-            torch.cat(tables, 1) if len(tables) > 1 else tables[0],
-            exp_cap,
-            limit,
-            *weights,
-            *biases,
-        )
-        return on_gpu
     count = threads or torch.get_num_threads()
-    result: Tensor = _Mlp.apply(  # type: ignore[no-untyped-call]
-        exp_cap, half, count, len(tables), *tables, *weights, *biases
+    result: Tensor = _MLP.kernel(tables[0])(
+        exp_cap, half, limit, count, len(tables), *tables, *weights, *biases
     )
     return result
-
-
-class _Mlp(torch.autograd.Function):
-    @staticmethod
-    def forward(
-        ctx: Any, exp_cap: float | None, half: bool, threads: int, count: int, *tensors: Tensor
-    ) -> Tensor:
-        tables, parameters = tensors[:count], tuple(t.contiguous() for t in tensors[count:])
-        layers, outputs = len(parameters) // 2, len(parameters[-1])
-        points, inputs = len(tables[0]), sum(t.shape[1] for t in tables)
-        out = tables[0].new_empty(points, outputs)
-        ctx.shape = [points, inputs, layers - 1, outputs, half]
-        ctx.cap, ctx.threads, ctx.count = [] if exp_cap is None else [exp_cap], threads, count
-        single, needed = out.dtype == torch.float32, any(ctx.needs_input_grad)
-        numbers = native.mlp_kept(ctx.shape) if single and needed else 0
-        ctx.kept = None
-        if 0 < numbers <= MOST_KEPT:
-            ctx.kept = torch.empty(numbers, dtype=torch.int32)
-        run = native.mlp_float if single else native.mlp_double
-        run(*_call(ctx, tables, parameters), out.data_ptr())
-        ctx.save_for_backward(out, *tables, *parameters)
-        return out
-
-    @staticmethod
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
-        out, *tensors = ctx.saved_tensors
-        tables, parameters = tensors[: ctx.count], tensors[ctx.count :]
-        v_out = grads[0].contiguous()
-        needed = ctx.needs_input_grad[4 : 4 + ctx.count]
-        v_tables = [t.new_empty(t.shape) for t in tables]
-        v_parameters = [torch.empty_like(t) for t in parameters]
-        run = native.mlp_bwd_float if out.dtype == torch.float32 else native.mlp_bwd_double
-        run(
-            *_call(ctx, tables, parameters),
-            out.data_ptr(),
-            v_out.data_ptr(),
-            [_table(t) for t in v_tables] if any(needed) else [],
-            *_addresses(v_parameters),
-        )
-        wanted = [v if need else None for v, need in zip(v_tables, needed, strict=True)]
-        return None, None, None, None, *wanted, *v_parameters
-
-
-def _call(ctx: Any, tables: Sequence[Tensor], parameters: Sequence[Tensor]) -> tuple[Any, ...]:
-    kept = 0 if ctx.kept is None else ctx.kept.data_ptr()
-    where = _addresses(parameters)
-    return ctx.shape, [_table(t) for t in tables], *where, ctx.cap, kept, ctx.threads
-
-
-def _table(tensor: Tensor) -> tuple[int, list[int]]:
-    """Address, strides of rows and columns, number of columns."""
-    return tensor.data_ptr(), [*tensor.stride(), tensor.shape[1]]
-
-
-def _addresses(parameters: Sequence[Tensor]) -> tuple[list[int], list[int]]:
-    addresses = [t.data_ptr() for t in parameters]
-    return addresses[: len(addresses) // 2], addresses[len(addresses) // 2 :]
 
 
 def _check(tables: Sequence[Tensor], weights: Sequence[Tensor], biases: Sequence[Tensor]) -> None:

@@ -1,14 +1,19 @@
 """What a training photo, kept as bytes, asks of a render."""
 
-from typing import Any
-
-import _refdgs_native as native
 import torch
 from torch import Tensor
 
 from refdgs_pipe.errors import DeviceError, ShapeError
-from refdgs_pipe.ops import addresses, cuda, cuda_photo
 from refdgs_pipe.ops.checks import check_alike
+from refdgs_pipe.ops.cpu import photo as on_cpu
+from refdgs_pipe.ops.definition import photo as definition
+from refdgs_pipe.ops.gpu import photo as on_gpu
+from refdgs_pipe.ops.registry import Operation
+
+_COMPOSITED = Operation("composited", definition.composited, on_cpu.composited, on_gpu.composited)
+_MASK_ENTROPY = Operation(
+    "mask_entropy", definition.mask_entropy, on_cpu.MaskEntropy, on_gpu.MaskEntropy
+)
 
 
 def composited(
@@ -38,20 +43,9 @@ def composited(
         raise DeviceError(
             f"backdrop is on {backdrop.device}, rgb is on {rgb.device}: give all on one device"
         )
-    if cuda.on_gpu(rgb):
-        return cuda_photo.composited(rgb, mask, backdrop)
-    planes = backdrop.new_empty(rgb.shape)
-    rgb, mask = rgb.contiguous(), None if mask is None else mask.contiguous()
-    run = native.composited_float if planes.dtype == torch.float32 else native.composited_double
-    run(
-        [*rgb.shape[1:]],
-        rgb.data_ptr(),
-        0 if mask is None else mask.data_ptr(),
-        backdrop.tolist(),
-        threads or torch.get_num_threads(),
-        planes.data_ptr(),
-    )
-    return planes.permute(1, 2, 0)
+    count = threads or torch.get_num_threads()
+    target: Tensor = _COMPOSITED.kernel(rgb)(rgb, mask, backdrop, count)
+    return target
 
 
 def mask_entropy(
@@ -74,15 +68,8 @@ def mask_entropy(
     if alpha.ndim != 2 or not alpha.numel():
         raise ShapeError(f"alpha is {tuple(alpha.shape)}: give (H, W), at least one pixel")
     _check_mask(mask, alpha)
-    if cuda.on_gpu(alpha):
-        on_gpu: Tensor = cuda_photo.MaskEntropy.apply(  # type: ignore[no-untyped-call]
-            alpha, mask.contiguous(), weight
-        )
-        return on_gpu
     count = threads or torch.get_num_threads()
-    loss: Tensor = _MaskEntropy.apply(  # type: ignore[no-untyped-call]
-        alpha, mask.contiguous(), weight, count
-    )
+    loss: Tensor = _MASK_ENTROPY.kernel(alpha)(alpha, mask.contiguous(), weight, count)
     return loss
 
 
@@ -96,28 +83,3 @@ def _check_mask(mask: Tensor, image: Tensor) -> None:
         raise ShapeError(
             f"mask is {tuple(mask.shape)} of {mask.dtype}: give {size[0]} rows of {size[1]} uint8"
         )
-
-
-class _MaskEntropy(torch.autograd.Function):
-    """The loss is a scalar, so forward computes the whole gradient and backward scales it."""
-
-    @staticmethod
-    def forward(ctx: Any, alpha: Tensor, mask: Tensor, weight: float, threads: int) -> Tensor:
-        scale = weight / alpha.numel()
-        ctx.gradient = alpha.new_empty(alpha.shape) if ctx.needs_input_grad[0] else None
-        single = alpha.dtype == torch.float32
-        run = native.mask_entropy_float if single else native.mask_entropy_double
-        total = run(
-            [*alpha.shape],
-            [addresses.image(alpha)],
-            mask.data_ptr(),
-            scale,
-            threads,
-            0 if ctx.gradient is None else ctx.gradient.data_ptr(),
-        )
-        return alpha.new_tensor(scale * total)
-
-    @staticmethod
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
-        scale = float(grads[0])
-        return ctx.gradient if scale == 1 else ctx.gradient * scale, None, None, None

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from refdgs_pipe.errors import ShapeError
+from refdgs_pipe.ops import addresses
 
 LISTS = 8  # that one step may ask room for
 MARGIN = 1.5  # room for this many times what was needed at most
@@ -85,7 +86,7 @@ class Plan:
 
     def places(self) -> list[int]:
         """Addresses where kernels write what the list last asked for needed, and the misfit."""
-        return [self.last().data_ptr(), self.misfit.data_ptr()]
+        return addresses.each((self.last(), self.misfit))
 
     def asked(self) -> Asked:
         """The step's lists, for `learn`."""

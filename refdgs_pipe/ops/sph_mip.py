@@ -1,16 +1,18 @@
 """The Sph-Mip encoding: features of a distant environment by direction and roughness."""
 
-from typing import Any
-
-import _refdgs_native as native
 import torch
 from torch import Tensor
 
 from refdgs_pipe.errors import ShapeError
-from refdgs_pipe.ops import cuda, cuda_fused
 from refdgs_pipe.ops.checks import check_alike
+from refdgs_pipe.ops.cpu import sph_mip as on_cpu
+from refdgs_pipe.ops.definition import sph_mip as definition
+from refdgs_pipe.ops.gpu import sph_mip as on_gpu
+from refdgs_pipe.ops.registry import Operation
 
 CHANNELS = 4
+
+_SPH_MIP = Operation("sph_mip", definition.sph_mip, on_cpu.SphMip, on_gpu.SphMip)
 
 
 def mip_levels(height: int, width: int) -> int:
@@ -52,65 +54,11 @@ def sph_mip(
         ShapeError: sizes or types disagree, H or W is no power of two, or there is no such level.
     """
     _check(base, directions, roughness, min_level)
-    if cuda.on_gpu(base):
-        on_gpu: Tensor = cuda_fused.SphMip.apply(  # type: ignore[no-untyped-call]
-            base, directions, roughness, mip_levels(*base.shape[:2]), min_level, limit
-        )
-        return on_gpu
     count = threads or torch.get_num_threads()
-    features: Tensor = _SphMip.apply(  # type: ignore[no-untyped-call]
-        base, directions, roughness, min_level, count
+    features: Tensor = _SPH_MIP.kernel(base)(
+        base, directions, roughness, mip_levels(*base.shape[:2]), min_level, limit, count
     )
     return features
-
-
-class _SphMip(torch.autograd.Function):
-    @staticmethod
-    def forward(
-        ctx: Any,
-        base: Tensor,
-        directions: Tensor,
-        roughness: Tensor,
-        min_level: float,
-        threads: int,
-    ) -> Tensor:
-        base = base.contiguous()
-        height, width = base.shape[:2]
-        size = [height, width, mip_levels(height, width)]
-        coarser = sum((height >> level) * (width >> level) for level in range(1, size[2]))
-        mips = base.new_empty(coarser, CHANNELS)
-        coordinates = base.new_empty(3, len(directions))
-        features = base.new_empty(len(directions), CHANNELS)
-        tensors = (base, mips, directions, roughness, coordinates)
-        ctx.call = (size, len(directions), min_level)
-        run = native.sph_mip_float if base.dtype == torch.float32 else native.sph_mip_double
-        run(*ctx.call, *_addresses(*tensors), threads, features.data_ptr())
-        ctx.save_for_backward(*tensors)
-        ctx.threads = threads
-        return features
-
-    @staticmethod
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
-        tensors = ctx.saved_tensors
-        base, mips, directions, roughness, _ = tensors
-        v_base = torch.empty_like(base) if ctx.needs_input_grad[0] else None
-        v_mips = torch.empty_like(mips)
-        v_directions = directions.new_empty(directions.shape)
-        v_roughness = roughness.new_empty(roughness.shape)
-        v_features = grads[0].contiguous()
-        single = base.dtype == torch.float32
-        run = native.sph_mip_bwd_float if single else native.sph_mip_bwd_double
-        outputs = [0 if v_base is None else v_base.data_ptr()]
-        outputs += [t.data_ptr() for t in (v_mips, v_directions, v_roughness)]
-        run(*ctx.call, *_addresses(*tensors), ctx.threads, v_features.data_ptr(), outputs)
-        return v_base, v_directions, v_roughness, None, None
-
-
-def _addresses(
-    base: Tensor, mips: Tensor, directions: Tensor, roughness: Tensor, coordinates: Tensor
-) -> tuple[list[int], list[int]]:
-    tensors = (base, mips, directions, roughness, coordinates)
-    return [t.data_ptr() for t in tensors], [*directions.stride(), *roughness.stride()]
 
 
 def _check(base: Tensor, directions: Tensor, roughness: Tensor, min_level: float) -> None:

@@ -15,9 +15,8 @@ import torch
 from torch import Tensor
 
 from refdgs_pipe.errors import TrainingError
-from refdgs_pipe.ops import Plan
+from refdgs_pipe.ops import Plan, addresses, rates_of
 from refdgs_pipe.ops.cuda import sent
-from refdgs_pipe.ops.cuda_adam import rates_of
 from refdgs_pipe.ops.plan import Asked
 from refdgs_pipe.training.field import TrainableField
 from refdgs_pipe.training.photos import TENSORS, TrainingPhoto
@@ -122,7 +121,7 @@ class RecordedSteps:
         """
         if self._recorder is None or plan is None:
             return self._as_usual(photo, backdrop, fraction, plan)
-        places = [(tensor.data_ptr(), tensor.numel()) for tensor in _tensors(self._field)]
+        places = [(addresses.of(tensor), tensor.numel()) for tensor in _tensors(self._field)]
         if places != self._places:
             self.forget()
             self._places = places

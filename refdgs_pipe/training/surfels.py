@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from refdgs_pipe.artifacts.surfel_field import SurfelSet
-from refdgs_pipe.ops import Surfels, cuda, reference
-from refdgs_pipe.ops.cuda_adam import adam_step
+from refdgs_pipe.ops import Surfels, adam_step, rotation_matrices
 
 _RESET_OPACITY = math.log(0.01 / 0.99)  # raw
 _EPSILON = 1e-15  # of Adam, as the method has it: gradients per surfel are tiny
@@ -203,7 +202,7 @@ def densify(group: TrainableSet, rules: DensityRules, keep: Tensor, rng: torch.G
         means = group.raw["means"].detach()[source].clone()
         scales = group.raw["log_scales"].detach()[source].clone()
         if len(halves):
-            axes = reference.rotation_matrices(group.raw["quats"].detach()[halves])[:, :, :2]
+            axes = rotation_matrices(group.raw["quats"].detach()[halves])[:, :, :2]
             noise = torch.randn(len(halves), 2, generator=rng).to(scales.device)
             offset = noise * torch.exp(scales[-len(halves) :])
             means[-len(halves) :] += (axes @ offset[..., None])[..., 0]
@@ -236,10 +235,6 @@ def step_all(
         rates: on a GPU, see `adam_step`.
     """
     optimizers = all_optimizers(groups, modules)
-    if optimizers and cuda.on_gpu(optimizers[0].param_groups[0]["params"][0]):
-        adam_step(optimizers, misfit, rates)
-    else:
-        for optimizer in optimizers:
-            optimizer.step()
+    adam_step(optimizers, misfit, rates)
     for optimizer in optimizers:
         optimizer.zero_grad(set_to_none=True)

@@ -9,26 +9,16 @@ import statistics
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
-from typing import Any
 
 import pytest
 import torch
 from torch import Tensor
 
 from refdgs_pipe import ops
-from refdgs_pipe.ops import (
-    Pinhole,
-    image_loss,
-    mlp,
-    photo,
-    reference_image_loss,
-    reference_mlp,
-    reference_photo,
-    reference_shade,
-    reference_sph_mip,
-    sph_mip,
-)
+from refdgs_pipe.ops import Pinhole, composited, image_loss, mask_entropy, mlp, sph_mip
+from refdgs_pipe.ops.definition import sph_mip as definition
 from refdgs_pipe.ops.native import keep_freed_memory
+from refdgs_pipe.ops.registry import using
 
 pytestmark = pytest.mark.benchmark
 ROUNDS = 7
@@ -68,6 +58,17 @@ def with_backward(loss_of: Callable[..., Tensor], *leaves: Tensor) -> Callable[[
     return work
 
 
+def by_definition(loss_of: Callable[..., Tensor], *leaves: Tensor) -> Callable[[], object]:
+    """The same in plain torch."""
+    work = with_backward(loss_of, *leaves)
+
+    def run() -> None:
+        with using("definition"):
+            work()
+
+    return run
+
+
 @pytest.mark.parametrize("size", [400, 800])
 def test_image_loss(size: int) -> None:
     g = torch.Generator().manual_seed(0)
@@ -76,9 +77,7 @@ def test_image_loss(size: int) -> None:
     compare(
         f"L1 + SSIM {size}x{size}x3",
         with_backward(lambda p: image_loss(p.permute(1, 2, 0), target), planes),
-        with_backward(
-            lambda p: reference_image_loss.image_loss(p.permute(1, 2, 0), target), planes
-        ),
+        by_definition(lambda p: image_loss(p.permute(1, 2, 0), target), planes),
     )
 
 
@@ -91,13 +90,13 @@ def test_photo(size: int) -> None:
     backdrop, alpha = torch.rand(3, generator=g), torch.rand(size, size, generator=g)
     alpha.requires_grad_()
 
-    def loss_of(of: Any) -> Callable[..., Tensor]:
-        return lambda a: of.mask_entropy(a, mask) + of.composited(rgb, mask, backdrop)[0, 0, 0]
+    def loss_of(a: Tensor) -> Tensor:
+        return mask_entropy(a, mask) + composited(rgb, mask, backdrop)[0, 0, 0]
 
     compare(
         f"target and mask's entropy {size}x{size}",
-        with_backward(loss_of(photo), alpha),
-        with_backward(loss_of(reference_photo), alpha),
+        with_backward(loss_of, alpha),
+        by_definition(loss_of, alpha),
     )
 
 
@@ -134,8 +133,8 @@ def test_sph_mip(size: tuple[int, int], order: str, count: int) -> None:
 
 def grid_sample_mips(base: Tensor, directions: Tensor, roughness: Tensor) -> Tensor:
     """The fastest stock way: every level by grid_sample, padded for the seam; poles clamped."""
-    u, v = reference_sph_mip.polar(directions)
-    mips = reference_sph_mip.mips(base)
+    u, v = definition.polar(directions)
+    mips = definition.mips(base)
     level = (len(mips) * roughness).clamp(0, len(mips) - 1)
     features = base.new_zeros(len(u), 4)
     fine = level.detach().long().clamp(max=len(mips) - 2)
@@ -170,7 +169,7 @@ def test_mlp(count: int) -> None:
         compare(
             f"MLP 10-64-64-64-3, {count} points, {name}",
             with_backward(loss_of(run), *leaves),
-            with_backward(loss_of(reference_mlp.mlp), *leaves),
+            by_definition(loss_of(mlp), *leaves),
         )
 
 
@@ -188,26 +187,20 @@ def test_shading(size: int) -> None:
     pixels = disc.flatten().nonzero().flatten()
     backdrop = torch.rand(3, generator=g)
 
-    def loss_of(of: object) -> Callable[..., Tensor]:
-        def run(
-            features: Tensor, normal: Tensor, near: Tensor, alpha: Tensor, depth: Tensor
-        ) -> Tensor:
-            diffuse, _, reflected, cosine, found = of.shading_inputs(  # type: ignore[attr-defined]
-                features, alpha, normal, near, pixels, camera
-            )
-            radiance = (reflected + found[:, :3]) * cosine[:, None]
-            image = of.composite(  # type: ignore[attr-defined]
-                diffuse, radiance, pixels, alpha, alpha, backdrop, None
-            )
-            agreement = of.normal_agreement(normal, depth, alpha, camera)  # type: ignore[attr-defined]
-            out: Tensor = image.mean() + agreement
-            return out
-
-        return run
+    def loss_of(
+        features: Tensor, normal: Tensor, near: Tensor, alpha: Tensor, depth: Tensor
+    ) -> Tensor:
+        diffuse, _, reflected, cosine, found = ops.shading_inputs(
+            features, alpha, normal, near, pixels, camera
+        )
+        assert found is not None
+        radiance = (reflected + found[:, :3]) * cosine[:, None]
+        image = ops.composite(diffuse, radiance, pixels, alpha, alpha, backdrop, None)
+        return image.mean() + ops.normal_agreement(normal, depth, alpha, camera)
 
     leaves = tuple(t.requires_grad_() for t in (*images, alpha, depth))
     compare(
         f"shading around the network {size}x{size}",
-        with_backward(loss_of(ops), *leaves),
-        with_backward(loss_of(reference_shade), *leaves),
+        with_backward(loss_of, *leaves),
+        by_definition(loss_of, *leaves),
     )

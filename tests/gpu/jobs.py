@@ -9,7 +9,9 @@ from cases import Case, camera
 from torch import Tensor
 
 from refdgs_pipe import ops
-from refdgs_pipe.ops import Pinhole, Plan, Surfels, cuda, cuda_fused, rasterize
+from refdgs_pipe.ops import Pinhole, Plan, Surfels, rasterize
+from refdgs_pipe.ops.gpu import mlp as network
+from refdgs_pipe.ops.registry import backend_of
 from refdgs_pipe.training.surfels import step_all
 
 Named = dict[str, Tensor]
@@ -54,7 +56,7 @@ def drawing(case: Case, *, planned: bool = False, lens: bool = False) -> Run:
         def draw(leaves: Named) -> Named:
             s = Surfels(*(leaves[f.name] for f in fields(Surfels)))
             posed = Pinhole(leaves["pose"], *list(vars(view).values())[1:])
-            if lens and cuda.on_gpu(leaves["means"]):
+            if lens and backend_of(leaves["means"]) == "gpu":
                 numbers = torch.tensor(posed.numbers()).to(leaves["means"])
                 other = posed.cam_from_world + 0.2
                 posed = replace(posed, cam_from_world=other, fx=50.0, cy=7.0, lens=numbers)
@@ -199,11 +201,11 @@ def _planned(random: Callable[..., Tensor]) -> Run:
 
 def _without_tensor_cores(run: Run) -> Run:
     def other(dtype: torch.dtype, device: str) -> Named:
-        cuda_fused.TENSOR_CORES = False
+        network.TENSOR_CORES = False
         try:
             return run(dtype, device)
         finally:
-            cuda_fused.TENSOR_CORES = True
+            network.TENSOR_CORES = True
 
     return other
 

@@ -25,8 +25,9 @@ sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parent.parent)]
 from cases import camera, surfels  # noqa: E402
 
 from refdgs_pipe import ops  # noqa: E402
-from refdgs_pipe.ops import Surfels, cuda_fused, cuda_rasterize, rasterize  # noqa: E402
-from refdgs_pipe.ops.cuda_adam import adam_step  # noqa: E402
+from refdgs_pipe.ops import Surfels, adam_step, rasterize  # noqa: E402
+from refdgs_pipe.ops.gpu import mlp as network  # noqa: E402
+from refdgs_pipe.ops.gpu import rasterize as tiles  # noqa: E402
 
 WARM, REPEATS = 5, 20
 PAIRS = 50.0  # pixels of a tile that an entry is blended into, about
@@ -84,12 +85,12 @@ def drawing(clock: Clock, n: int, side: int, channels: int, extra: str) -> list[
     s, view = detached(made, clock.device), camera(side, side)
     f = features.to(clock.device).requires_grad_()
     counted: list[int] = []
-    read = cuda_rasterize._entries
-    cuda_rasterize._entries = lambda *a: counted.append(read(*a)) or counted[-1]  # type: ignore
+    read = tiles._entries
+    tiles._entries = lambda *a: counted.append(read(*a)) or counted[-1]  # type: ignore
     try:
         maps = rasterize(s, f, view, extra=extra, normals=extra != "none")  # type: ignore[arg-type]
     finally:
-        cuda_rasterize._entries = read
+        tiles._entries = read
     entries, pixels = (counted or [0])[0], side * side
     # bytes and operations as the kernels' head comments have them
     planes, pairs = channels + (3 if extra == "depth" else 1), PAIRS * entries
@@ -175,13 +176,13 @@ def fused(clock: Clock, side: int) -> list[dict[str, Any]]:
     leaves += [near, depth, radiance]
     jobs["network by multiply-adds"] = jobs["network"]
     for name, (run, bytes_in, flop, bytes_back, flop_back) in jobs.items():
-        cuda_fused.TENSOR_CORES = "multiply-adds" not in name
+        network.TENSOR_CORES = "multiply-adds" not in name
         total = run().sum()
         back = lambda t=total: torch.autograd.grad(t, leaves, retain_graph=True, allow_unused=True)  # noqa: E731
         out.append({"what": name, "ms": clock.ms(run), "bytes": bytes_in, "flop": flop, "run": run})
         row = {"what": name + ", backward", "ms": clock.ms(back), "bytes": bytes_back}
         out.append({**row, "flop": flop_back, "run": back})
-    cuda_fused.TENSOR_CORES = True
+    network.TENSOR_CORES = True
     return out
 
 

@@ -23,7 +23,7 @@ sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parent.parent)]
 import scene as scenery  # noqa: E402
 
 from refdgs_pipe.metrics import psnr  # noqa: E402
-from refdgs_pipe.ops import cuda_fused  # noqa: E402
+from refdgs_pipe.ops.gpu import mlp as network  # noqa: E402
 from refdgs_pipe.training.recorded import RecordedSteps  # noqa: E402
 from refdgs_pipe.training.render import render_image  # noqa: E402
 from refdgs_pipe.training.settings import TrainParams  # noqa: E402
@@ -128,9 +128,9 @@ def main() -> int:
     recorded = step_times(trainer, options.device, steps_at_end)
     usual(trainer)
     planned = step_times(trainer, options.device, steps_at_end)
-    cuda_fused.TENSOR_CORES = False
+    network.TENSOR_CORES = False
     by_fma = step_times(trainer, options.device, steps_at_end)
-    cuda_fused.TENSOR_CORES = True
+    network.TENSOR_CORES = True
     trainer._read(all_of_them=True)
     trainer.plan = None
     waiting = step_times(trainer, options.device, steps_at_end)

@@ -11,11 +11,11 @@ from ops import test_mlp as networks
 from ops import test_photo as photos
 from ops import test_shade as shades
 from ops import test_sph_mip as mips
+from refdgs_pipe.ops.cuda_adam import adam_step, rates_of
 from torch import Tensor
 
 from refdgs_pipe import ops
 from refdgs_pipe.ops import cuda_fused
-from refdgs_pipe.ops.cuda_adam import adam_step, rates_of
 
 
 def alike(

@@ -12,8 +12,11 @@ from emulation import emulated
 from torch import Tensor
 from training.test_trainer import SMALL, capture, quiet
 
-from refdgs_pipe.ops import Later, Plan, cuda, cuda_rasterize, cuda_shade
+from refdgs_pipe.ops import Later, Plan, cuda
 from refdgs_pipe.ops import plan as planning
+from refdgs_pipe.ops.gpu import rasterize as drawing
+from refdgs_pipe.ops.gpu import shade as shading
+from refdgs_pipe.ops.registry import using
 from refdgs_pipe.training.photos import _shrunk_there, shrunk
 from refdgs_pipe.training.trainer import Moment, Trainer
 
@@ -39,16 +42,16 @@ def numberless_gpu() -> Iterator[None]:
         return lambda *arguments: [4096, 4096, 4096, 4096]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(cuda, "on_gpu", lambda tensor: tensor.device.type == GPU)
         patch.setattr(cuda, "kernels", kernels)
         patch.setattr(cuda, "processors", lambda like: 4)
         patch.setattr(cuda, "check_gpu", lambda name, tensor: None)
-        patch.setattr(cuda_rasterize, "_entries", lambda *arguments: 300)
-        patch.setattr(cuda_shade, "_count", lambda *arguments: 70)
+        patch.setattr(drawing, "_entries", lambda *arguments: 300)
+        patch.setattr(shading, "_count", lambda *arguments: 70)
         patch.setattr(Later, "send", lambda *arguments: None)
         adam = torch.optim.Adam
         patch.setattr(torch.optim, "Adam", lambda *a, **k: adam(*a, **{**k, "fused": False}))
-        yield
+        with using("gpu"):
+            yield
 
 
 def _waits(*arguments: object) -> int:
@@ -69,8 +72,8 @@ def test_a_step_mixes_no_devices_and_waits_for_no_number(
         for _ in range(3):
             trainer.step()
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(cuda_rasterize, "_entries", _waits)
-            patch.setattr(cuda_shade, "_count", _waits)
+            patch.setattr(drawing, "_entries", _waits)
+            patch.setattr(shading, "_count", _waits)
             for _ in range(3):
                 trainer.step()
         assert trainer.field.geometry.gradient_sum.device.type == GPU

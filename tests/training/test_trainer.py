@@ -21,7 +21,7 @@ from refdgs_pipe.camera import Camera, Lens
 from refdgs_pipe.errors import Cancelled, CorruptError, TrainingError
 from refdgs_pipe.metrics import normal_error_deg, psnr
 from refdgs_pipe.ops import Pinhole, clip
-from refdgs_pipe.ops.reference_shade import depth_normals, srgb_of
+from refdgs_pipe.ops.definition.shade import depth_normals, srgb_of
 from refdgs_pipe.pipeline.events import Event, Progress, Sampled
 from refdgs_pipe.pipeline.stage import Job
 from refdgs_pipe.training import initial

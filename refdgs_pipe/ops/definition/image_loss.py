@@ -1,4 +1,4 @@
-"""The image loss in plain torch: the definition that the compiled one is proved against."""
+"""The image loss in plain torch."""
 
 import torch
 from torch import Tensor
@@ -9,7 +9,7 @@ C1 = 0.01**2
 C2 = 0.03**2
 
 
-def ssim_map(image: Tensor, target: Tensor) -> Tensor:
+def ssim_map(image: Tensor, target: Tensor, threads: int = 1) -> Tensor:
     """(H, W, C) structural similarity of two (H, W, C) images in 0..1 (Wang et al. 2004).
 
     Local means are weighted by an 11 x 11 Gaussian of sigma 1.5 pixels; outside the image is zero.
@@ -32,14 +32,18 @@ def ssim_map(image: Tensor, target: Tensor) -> Tensor:
     return similar / ((mx * mx + my * my + C1) * (xx + yy + C2))
 
 
-def image_loss(
-    image: Tensor, target: Tensor, *, weight: Tensor | None = None, ssim_share: float = 0.2
-) -> Tensor:
-    """Same meaning as `ops.image_loss`."""
-    per_pixel = (1 - ssim_share) * (image - target).abs() + ssim_share * (
-        1 - ssim_map(image, target)
-    )
+def ssim_sum(image: Tensor, target: Tensor, threads: int = 1) -> float:
+    """The sum of `ssim_map`."""
+    return float(ssim_map(image, target).sum())
+
+
+def image_loss_and_error(
+    image: Tensor, target: Tensor, weight: Tensor | None, share: float, threads: int = 1
+) -> tuple[Tensor, Tensor]:
+    """`ops.image_loss_and_error`."""
+    loss = (1 - share) * (image - target).abs() + share * (1 - ssim_map(image, target))
+    error = (image - target).detach() ** 2
     if weight is None:
-        return per_pixel.mean()
-    total = weight.sum() * image.shape[-1]
-    return (per_pixel * weight[..., None]).sum() / total.clamp(min=1e-12)
+        return loss.mean(), error.mean()
+    each = (weight / (weight.sum() * image.shape[-1]).clamp(min=1e-12))[..., None]
+    return (each * loss).sum(), (each * error).sum()

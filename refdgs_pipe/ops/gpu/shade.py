@@ -1,4 +1,4 @@
-"""Deferred shading on a GPU, behind autograd; nothing waits for it."""
+"""Deferred shading on a GPU; nothing waits for it."""
 
 from typing import Any
 
@@ -6,21 +6,24 @@ import torch
 from torch import Tensor
 
 from refdgs_pipe.ops import addresses, cuda
+from refdgs_pipe.ops.definition.shade import covered_pixels as counted
 from refdgs_pipe.ops.plan import Plan
-from refdgs_pipe.ops.rasterize import Pinhole
+from refdgs_pipe.ops.types import Pinhole
 
 AGREEMENT_BLOCK = 256  # pixels whose part of the sum is one
 
 
-def covered_pixels(alpha: Tensor, least: float, plan: Plan) -> Tensor:
-    """`ops.covered_pixels` with a plan."""
+def covered_pixels(alpha: Tensor, least: float, plan: Plan | None) -> Tensor:
+    """`ops.covered_pixels`."""
+    if plan is None:
+        return counted(alpha, least, plan)
     size = [*alpha.shape]
     every = alpha.numel()
     room = plan.room(*size, items=every, most=every, count=lambda: _count(alpha, least))
     pixels = alpha.new_empty(room, dtype=torch.int64)
     sizes = cuda.kernels("covered_sizes", alpha)(size)
     counts, scratch = cuda.memory(sizes[0], alpha), cuda.memory(sizes[1], alpha)
-    memory = [pixels.data_ptr(), counts.data_ptr(), scratch.data_ptr()]
+    memory = addresses.each((pixels, counts, scratch))
     image = [addresses.image(alpha)]
     cuda.kernels("covered_pixels", alpha)(size, image, least, room, memory, sizes[1], plan.places())
     return pixels
@@ -43,6 +46,7 @@ class ShadingInputs(torch.autograd.Function):
         near: Tensor | None,
         pixels: Tensor,
         camera: Pinhole,
+        threads: int,
     ) -> tuple[Tensor, ...]:
         count, channels = len(pixels), features.shape[2]
         planes = [features.new_empty(width, count) for width in (3, 1, 3, 1)]
@@ -55,7 +59,7 @@ class ShadingInputs(torch.autograd.Function):
             addresses.lens_and_rotation(camera),
             count,
             addresses.lens(camera),
-            pixels.data_ptr(),
+            addresses.of(pixels),
             channels,
             images,
         )
@@ -70,11 +74,11 @@ class ShadingInputs(torch.autograd.Function):
         widths = (features.shape[2], 1, 3, 4 if near is not None else 0)
         grads = [alpha.new_zeros(width, *alpha.shape) for width in widths]
         cuda.kernels("shading_inputs_bwd", alpha)(
-            *ctx.head, [addresses.table(t) for t in v], [t.data_ptr() for t in grads]
+            *ctx.head, [addresses.table(t) for t in v], addresses.each(grads)
         )
         v_features, v_alpha, v_normal, v_near = (g.permute(1, 2, 0) for g in grads)
         last = v_near if near is not None else None
-        return v_features, v_alpha[..., 0], v_normal, last, None, None
+        return v_features, v_alpha[..., 0], v_normal, last, *[None] * 3
 
 
 class Composite(torch.autograd.Function):
@@ -90,13 +94,15 @@ class Composite(torch.autograd.Function):
         alpha: Tensor,
         backdrop: Tensor,
         behind: Tensor | None,
+        threads: int,
     ) -> Tensor:
         backdrop = backdrop.to(alpha).contiguous()
         planes = alpha.new_empty(3, *alpha.shape)
         tables = [addresses.table(t) for t in (diffuse, radiance)]
         images = [addresses.image(t) for t in (object_alpha, alpha, behind)]
-        head = ([*alpha.shape], len(pixels), pixels.data_ptr(), tables, images, backdrop.data_ptr())
-        cuda.kernels("composite", alpha)(*head, planes.data_ptr())
+        where = addresses.of(pixels), tables, images, addresses.of(backdrop)
+        head = ([*alpha.shape], len(pixels), *where)
+        cuda.kernels("composite", alpha)(*head, addresses.of(planes))
         ctx.save_for_backward(diffuse, radiance, pixels, object_alpha, alpha, behind, backdrop)
         ctx.head = head
         return planes.permute(1, 2, 0)
@@ -107,10 +113,26 @@ class Composite(torch.autograd.Function):
         linear = radiance.new_empty(3, len(radiance))
         v_object, v_alpha = alpha.new_empty(alpha.shape), alpha.new_empty(alpha.shape)
         cuda.kernels("composite_bwd", alpha)(
-            *ctx.head, [addresses.image(v[0])], [t.data_ptr() for t in (linear, v_object, v_alpha)]
+            *ctx.head, [addresses.image(v[0])], addresses.each((linear, v_object, v_alpha))
         )
         v_behind = None if behind is None else v[0]
-        return linear.T, linear.T, None, v_object, v_alpha, None, v_behind
+        return linear.T, linear.T, None, v_object, v_alpha, None, v_behind, None
+
+
+def normal_agreement(
+    normal: Tensor,
+    depth: Tensor,
+    alpha: Tensor,
+    camera: Pinhole,
+    edge: float,
+    weight: float,
+    threads: int,
+) -> Tensor:
+    """`ops.normal_agreement`; inputs are checked there."""
+    loss: Tensor = NormalAgreement.apply(  # type: ignore[no-untyped-call]
+        normal, depth, alpha, camera, edge
+    )
+    return weight * loss
 
 
 class NormalAgreement(torch.autograd.Function):
@@ -134,8 +156,8 @@ class NormalAgreement(torch.autograd.Function):
             [addresses.image(t) for t in (normal, depth, alpha)],
             scale,
             edge,
-            [t.data_ptr() for t in grads] or [0] * 4,
-            [parts.data_ptr(), total.data_ptr()],
+            addresses.each(grads or [None] * 4),
+            addresses.each((parts, total)),
         )
         ctx.grads = grads[:3]
         return total[0] * scale

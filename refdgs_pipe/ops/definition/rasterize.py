@@ -1,12 +1,10 @@
-"""The definition of every operation in plain torch: readable, any precision, slow.
-
-The compiled kernels are proved against these; see tests/ops.
-"""
+"""Drawing surfels in plain torch."""
 
 import torch
 from torch import Tensor
 
-from refdgs_pipe.ops.rasterize import Extra, Maps, Pinhole, ScreenStatistics, Surfels
+from refdgs_pipe.ops.plan import Plan
+from refdgs_pipe.ops.types import Extra, Maps, Pinhole, ScreenStatistics, Surfels
 
 MIN_ALPHA = 1 / 255
 MAX_ALPHA = 0.99
@@ -31,13 +29,16 @@ def rasterize(
     surfels: Surfels,
     features: Tensor,
     camera: Pinhole,
-    *,
-    extra: Extra = "distortion",
-    normals: bool = True,
+    extra: Extra,
+    normals: bool,
+    needed: Tensor | None = None,
+    absolute: bool = False,
+    threads: int = 1,
+    plan: Plan | None = None,
 ) -> Maps:
     """Every surfel against every pixel, by the homography of 2DGS (Huang et al. 2024, eq. 8-10).
 
-    Same meaning as `ops.rasterize`; memory grows with N H W.
+    `ops.rasterize` without the screen's statistics; all pixels are drawn; memory grows with N H W.
     """
     R, t = camera.cam_from_world[:3, :3], camera.cam_from_world[:3, 3]
     axes = rotation_matrices(surfels.quats)

@@ -1,4 +1,4 @@
-"""Sph-Mip lookups in plain torch: the definition that the compiled ones are proved against."""
+"""Sph-Mip lookups in plain torch."""
 
 import math
 
@@ -50,9 +50,15 @@ def bilinear(level: Tensor, u: Tensor, v: Tensor) -> Tensor:
 
 
 def sph_mip(
-    base: Tensor, directions: Tensor, roughness: Tensor, *, min_level: float = 0.0
+    base: Tensor,
+    directions: Tensor,
+    roughness: Tensor,
+    levels: int,
+    min_level: float,
+    limit: Tensor | None = None,
+    threads: int = 1,
 ) -> Tensor:
-    """Same meaning as `ops.sph_mip`."""
+    """`ops.sph_mip`."""
     pyramid = mips(base)
     u, v = polar(directions)
     level = (len(pyramid) * roughness).clamp(min_level, len(pyramid) - 1)

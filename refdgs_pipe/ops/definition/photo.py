@@ -1,11 +1,11 @@
-"""Photos as targets in plain torch: the definition that the compiled ones are proved against."""
+"""Photos as targets in plain torch."""
 
 import torch
 from torch import Tensor
 
 
-def composited(rgb: Tensor, mask: Tensor | None, backdrop: Tensor) -> Tensor:
-    """Same meaning as `ops.composited`."""
+def composited(rgb: Tensor, mask: Tensor | None, backdrop: Tensor, threads: int = 1) -> Tensor:
+    """`ops.composited`."""
     color = rgb.permute(1, 2, 0).to(backdrop.dtype) / 255
     if mask is None:
         return color
@@ -13,7 +13,7 @@ def composited(rgb: Tensor, mask: Tensor | None, backdrop: Tensor) -> Tensor:
     return color * m + (1 - m) * backdrop
 
 
-def mask_entropy(alpha: Tensor, mask: Tensor, *, weight: float = 1.0) -> Tensor:
-    """Same meaning as `ops.mask_entropy`."""
+def mask_entropy(alpha: Tensor, mask: Tensor, weight: float, threads: int = 1) -> Tensor:
+    """`ops.mask_entropy`."""
     m, a = mask.to(alpha.dtype) / 255, alpha.clamp(1e-4, 1 - 1e-4)
     return -weight * (m * torch.log(a) + (1 - m) * torch.log(1 - a)).mean()

@@ -1,12 +1,11 @@
-"""Deferred shading in plain torch: the definition that the compiled one is proved against."""
-
-import math
+"""Deferred shading in plain torch."""
 
 import torch
 from torch import Tensor
 
-from refdgs_pipe.ops.rasterize import Pinhole
-from refdgs_pipe.ops.shade import clip
+from refdgs_pipe.ops.clip import clip
+from refdgs_pipe.ops.plan import Plan
+from refdgs_pipe.ops.types import Pinhole
 
 
 def normalized(vectors: Tensor, epsilon: float = 1e-16) -> Tensor:
@@ -23,6 +22,11 @@ def pixel_rays(camera: Pinhole, dtype: torch.dtype = torch.float32) -> Tensor:
     return torch.stack([gx, gy, torch.ones_like(gx)], -1)
 
 
+def covered_pixels(alpha: Tensor, least: float, plan: Plan | None = None) -> Tensor:
+    """`ops.covered_pixels` without room to spare. A GPU is waited for."""
+    return torch.nonzero(alpha.reshape(-1) > least).flatten()
+
+
 def shading_inputs(
     features: Tensor,
     alpha: Tensor,
@@ -30,8 +34,9 @@ def shading_inputs(
     near: Tensor | None,
     pixels: Tensor,
     camera: Pinhole,
+    threads: int = 1,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor | None]:
-    """Same meaning as `ops.shading_inputs`."""
+    """`ops.shading_inputs`."""
 
     def at(image: Tensor) -> Tensor:
         return image.reshape(camera.height * camera.width, -1).index_select(0, pixels)
@@ -61,9 +66,10 @@ def composite(
     object_alpha: Tensor,
     alpha: Tensor,
     backdrop: Tensor,
-    behind: Tensor | None,
+    behind: Tensor | None = None,
+    threads: int = 1,
 ) -> Tensor:
-    """Same meaning as `ops.composite`."""
+    """`ops.composite`."""
     height, width = alpha.shape
     flat = diffuse.new_zeros(height * width, 3)
     color = flat.index_copy(0, pixels, srgb_of(diffuse + radiance)).reshape(height, width, 3)
@@ -85,9 +91,15 @@ def depth_normals(depth: Tensor, camera: Pinhole) -> Tensor:
 
 
 def normal_agreement(
-    normal: Tensor, depth: Tensor, alpha: Tensor, camera: Pinhole, *, edge: float = math.inf
+    normal: Tensor,
+    depth: Tensor,
+    alpha: Tensor,
+    camera: Pinhole,
+    edge: float,
+    weight: float,
+    threads: int = 1,
 ) -> Tensor:
-    """Same meaning as `ops.normal_agreement`."""
+    """`ops.normal_agreement`."""
     z = depth / alpha.clamp(min=1e-6)
     expected = depth_normals(z, camera)
     z = z.detach()
@@ -97,7 +109,7 @@ def normal_agreement(
     )
     smooth = bend * camera.fx < edge * z[1:-1, 1:-1]
     agreement = (normalized(normal) * expected).sum(-1)
-    return (((1 - agreement) * alpha.detach())[1:-1, 1:-1] * smooth).mean()
+    return weight * (((1 - agreement) * alpha.detach())[1:-1, 1:-1] * smooth).mean()
 
 
 def normal_smoothness(
@@ -106,10 +118,11 @@ def normal_smoothness(
     depth: Tensor,
     alpha: Tensor,
     object_alpha: Tensor,
-    *,
     shaded: float,
+    weight: float,
+    threads: int = 1,
 ) -> Tensor:
-    """Same meaning as `ops.normal_smoothness`."""
+    """`ops.normal_smoothness`."""
     unit = torch.nn.functional.normalize(normal, dim=-1, eps=1e-8)
     object_alpha, alpha = object_alpha.detach()[..., None], alpha.detach()
     diffuse = features[..., :3].detach() / object_alpha.clamp(min=1e-6) * (object_alpha > shaded)
@@ -127,4 +140,4 @@ def normal_smoothness(
         steps = (second(unit) - first(unit)).abs().sum(-1)
         return (steps * torch.exp(-edge) * (first(solid) & second(solid))).mean()
 
-    return along(0) + along(1)
+    return weight * (along(0) + along(1))

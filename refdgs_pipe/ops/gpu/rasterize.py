@@ -1,4 +1,4 @@
-"""Drawing surfels on a GPU, behind autograd."""
+"""Drawing surfels on a GPU."""
 
 from typing import Any
 
@@ -7,7 +7,7 @@ from torch import Tensor
 
 from refdgs_pipe.ops import addresses, cuda
 from refdgs_pipe.ops.plan import Plan
-from refdgs_pipe.ops.rasterize import (
+from refdgs_pipe.ops.types import (
     EXTRAS,
     Extra,
     Maps,
@@ -23,18 +23,21 @@ MOST_ENTRIES = 2**31 - 1
 POSE_BLOCK = 128  # surfels whose pose gradients are added first
 
 
-def draw(
+def rasterize(
     surfels: Surfels,
     features: Tensor,
     camera: Pinhole,
     extra: Extra,
     normals: bool,
+    needed: Tensor | None,
+    absolute: bool,
+    threads: int,
     plan: Plan | None,
 ) -> Maps:
-    """Rasterise on the GPU; inputs are checked by `rasterize`."""
+    """`ops.rasterize`; inputs are checked there. All pixels and statistics are made."""
     n = len(features)
     statistics = ScreenStatistics(features.new_zeros(n), features.new_zeros(n, 2))
-    parts = _Rasterize.apply(  # type: ignore[no-untyped-call]
+    parts = Rasterize.apply(  # type: ignore[no-untyped-call]
         surfels.means,
         surfels.quats,
         surfels.scales,
@@ -50,18 +53,12 @@ def draw(
     return maps_of(parts, statistics, extra, normals)
 
 
-def _numbers(camera: Pinhole) -> list[float]:
-    """The pose's rows and the lens. A pose on the GPU would be waited for: keep it on the CPU."""
-    pose: list[float] = camera.cam_from_world[:3].detach().double().flatten().tolist()
-    return [*pose, camera.fx, camera.fy, camera.cx, camera.cy, camera.near]
-
-
 def _entries(by_surfel: Tensor, n: int) -> int:
     """How many entries the tiles' lists have. A drawing without a plan waits for it."""
     return int(by_surfel[8 * n : 8 * n + 8].view(torch.int64))
 
 
-class _Rasterize(torch.autograd.Function):
+class Rasterize(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, *args: Any) -> tuple[Tensor, ...]:
         *tensors, camera, extra, normals, plan, statistics = args
@@ -70,8 +67,8 @@ class _Rasterize(torch.autograd.Function):
         n, channels = inputs[4].shape
         padded, count = planes_of(channels, extra, normals)
         shape = [n, channels, camera.width, camera.height, EXTRAS[extra], int(normals), 0]
-        pointers = [t.data_ptr() for t in inputs]
-        posed = (_numbers(camera), addresses.lens(camera))
+        pointers = addresses.each(inputs)
+        posed = (addresses.pose_and_lens(camera), addresses.lens(camera))
 
         sizes = cuda.kernels("raster_sizes", like)(shape)
         by_surfel, scratch = cuda.memory(sizes[0], like), cuda.memory(sizes[2], like)
@@ -79,9 +76,7 @@ class _Rasterize(torch.autograd.Function):
             shape,
             pointers,
             *posed,
-            by_surfel.data_ptr(),
-            statistics.radii.data_ptr(),
-            scratch.data_ptr(),
+            *addresses.each((by_surfel, statistics.radii, scratch)),
             sizes[2],
         )
         places = [0, 0]
@@ -100,11 +95,7 @@ class _Rasterize(torch.autograd.Function):
             shape,
             pointers,
             *posed,
-            by_surfel.data_ptr(),
-            by_entry.data_ptr(),
-            scratch.data_ptr(),
-            planes.data_ptr(),
-            moments.data_ptr(),
+            *addresses.each((by_surfel, by_entry, scratch, planes, moments)),
             places,
         )
         ctx.save_for_backward(planes, moments, by_surfel, by_entry, *inputs)
@@ -132,15 +123,12 @@ class _Rasterize(torch.autograd.Function):
         wanted = ctx.needs_input_grad[5]
         cuda.kernels("raster_backward", planes)(
             ctx.shape,
-            [t.data_ptr() for t in inputs],
+            addresses.each(inputs),
             *ctx.posed,
-            by_surfel.data_ptr(),
-            by_entry.data_ptr(),
-            planes.data_ptr(),
-            moments.data_ptr(),
+            *addresses.each((by_surfel, by_entry, planes, moments)),
             [addresses.image(v) for v in grads],
-            [*(t.data_ptr() for t in working), parts.data_ptr() if wanted else 0],
-            [t.data_ptr() for t in (*out, v_pose, ctx.statistics.gradients)],
+            addresses.each((*working, parts if wanted else None)),
+            addresses.each((*out, v_pose, ctx.statistics.gradients)),
         )
         pose = None
         if wanted:
