@@ -1,11 +1,14 @@
 """The photo's target and the mask's cross-entropy, against their definition and differences."""
 
+from dataclasses import replace
+
 import pytest
 import torch
+from ops.backends import At, Backend, by_definition
 from torch import Tensor
 
 from refdgs_pipe.errors import ShapeError
-from refdgs_pipe.ops import composited, mask_entropy, reference_photo
+from refdgs_pipe.ops import composited, mask_entropy
 
 H, W = 21, 37
 
@@ -24,33 +27,48 @@ def alphas(size: tuple[int, int] = (H, W)) -> Tensor:
     return (1.2 * made - 0.1).requires_grad_()
 
 
-@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
-def test_a_target_equals_the_reference_in_float_and_double(dtype: torch.dtype) -> None:
-    rgb, mask, backdrop = photo()
-    limit = 1e-12 if dtype == torch.float64 else 3e-7
-    for m in (mask, None):
-        expected = reference_photo.composited(rgb, m, backdrop)
-        ours = composited(rgb, m, backdrop.to(dtype))
-        assert ours.dtype == dtype and ours.shape == (H, W, 3)
-        assert float((ours.double() - expected).abs().max()) < limit
+@pytest.mark.parametrize("size", [(1, 1), (H, W), (40, 130)])
+def test_a_target_equals_the_definition(size: tuple[int, int], kernels: Backend) -> None:
+    rgb, mask, backdrop = photo(size)
+
+    def run(at: At) -> list[Tensor]:
+        return [composited(at(rgb), m, at(backdrop)) for m in (at(mask), None)]
+
+    kernels.equals_the_definition(run, exact=1e-12)
 
 
-@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
-def test_the_entropy_equals_the_reference_in_float_and_double(dtype: torch.dtype) -> None:
-    _, mask, _ = photo()
-    pulls = []
-    for run, kind in ((reference_photo.mask_entropy, torch.float64), (mask_entropy, dtype)):
-        leaf = alphas().detach().to(kind).requires_grad_()
-        loss = run(leaf, mask, weight=0.3)  # type: ignore[operator]
+@pytest.mark.parametrize("size", [(1, 1), (H, W), (40, 130)])
+def test_the_entropy_and_its_gradient_equal_the_definition(
+    size: tuple[int, int], kernels: Backend
+) -> None:
+    _, mask, _ = photo(size)
+
+    def run(at: At) -> list[Tensor]:
+        spread = torch.stack([at(alphas(size))] * 2, -1)[..., 0]  # not side by side
+        leaf = spread.requires_grad_()
+        loss = mask_entropy(leaf, at(mask), weight=0.3)
         (2 * loss).backward()
-        pulls.append((loss.detach().double(), leaf.grad.double()))
-    (expected, slope), (ours, found) = pulls
-    limit = 1e-12 if dtype == torch.float64 else 1e-5
-    assert float((ours - expected).abs() / expected) < limit
-    assert float((found - slope).norm() / slope.norm()) < (1e-12 if limit < 1e-6 else 2e-4)
+        return [loss.detach(), leaf.grad]
+
+    kernels.equals_the_definition(run)
 
 
-def test_the_entropy_s_gradient_equals_differences() -> None:
+def test_float_agrees_with_double_within_its_rounding(kernels: Backend) -> None:
+    rgb, mask, backdrop = photo()
+
+    def run(at: At) -> list[Tensor]:
+        leaf = at(alphas()).requires_grad_()
+        loss = mask_entropy(leaf, at(mask), weight=0.3)
+        loss.backward()
+        return [composited(at(rgb), at(mask), at(backdrop)), loss.detach(), leaf.grad]
+
+    single = replace(kernels, dtype=torch.float32)
+    limits = (3e-7, 1e-5, 2e-4)
+    for found, exact, limit in zip(run(single.here), by_definition(run), limits, strict=True):
+        assert float((found.cpu().double() - exact).norm() / exact.norm()) < limit
+
+
+def test_the_entropy_s_gradient_equals_differences(backend: Backend) -> None:
     _, mask, _ = photo()
     leaf = alphas().detach().clamp(0.01, 0.99).requires_grad_()
     assert torch.autograd.gradcheck(lambda a: mask_entropy(a, mask), (leaf,))
@@ -58,7 +76,7 @@ def test_the_entropy_s_gradient_equals_differences() -> None:
     assert torch.equal(mask_entropy(spread, mask), mask_entropy(leaf, mask))
 
 
-def test_an_alpha_that_is_no_number_is_not_hidden_in_float() -> None:
+def test_an_alpha_that_is_no_number_is_not_hidden_in_float(backend: Backend) -> None:
     _, mask, _ = photo()
     broken = alphas().detach().float()
     broken[5, 36] = float("nan")

@@ -2,29 +2,30 @@
 
 from collections.abc import Callable
 from dataclasses import fields
+from functools import cache
 
 import pytest
 import torch
+from ops.backends import At, Backend, by_definition
 from torch import Tensor
 
 from refdgs_pipe.errors import ShapeError
-from refdgs_pipe.ops import Maps, Pinhole, Surfels, rasterize, reference
+from refdgs_pipe.ops import Maps, Pinhole, Surfels, rasterize, rotation_matrices
 
 MAPS = ("features", "alpha", "normal", "depth", "median_depth", "distortion")
+Made = tuple[Surfels, Tensor]
 
 
 def camera(width: int = 37, height: int = 29, dtype: torch.dtype = torch.float64) -> Pinhole:
     pose = torch.eye(4, dtype=dtype)
-    pose[:3, :3] = reference.rotation_matrices(torch.tensor([[0.9, 0.2, -0.3, 0.1]], dtype=dtype))[
-        0
-    ]
+    pose[:3, :3] = rotation_matrices(torch.tensor([[0.9, 0.2, -0.3, 0.1]], dtype=dtype))[0]
     pose[:3, 3] = torch.tensor([0.1, -0.2, 3.0], dtype=dtype)
     return Pinhole(pose, 41.0, 39.0, 18.3, 14.9, width, height, near=0.2)
 
 
 def scene(
     n: int = 40, channels: int = 5, seed: int = 0, dtype: torch.dtype = torch.float64
-) -> tuple[Surfels, Tensor]:
+) -> Made:
     g = torch.Generator().manual_seed(seed)
     means = (torch.rand(n, 3, generator=g, dtype=torch.float64) - 0.5) * 1.6
     quats = torch.randn(n, 4, generator=g, dtype=torch.float64)
@@ -34,7 +35,7 @@ def scene(
     return Surfels(*(t.to(dtype) for t in (means, quats, scales, opacities))), features.to(dtype)
 
 
-def hard_cases() -> tuple[Surfels, Tensor]:
+def hard_cases() -> Made:
     """Edge-on, tiny, huge, behind the camera, off the screen, almost and wholly transparent."""
     surfels, features = scene(60, seed=3)
     means, quats, scales, opacities = (
@@ -51,7 +52,7 @@ def hard_cases() -> tuple[Surfels, Tensor]:
     return Surfels(means, quats, scales, opacities), features
 
 
-def many_thin() -> tuple[Surfels, Tensor]:
+def many_thin() -> Made:
     """Long thin soft discs at every angle: two batches in a tile, contours that miss blocks."""
     surfels, features = scene(150, seed=11)
     scales = surfels.scales * torch.tensor([1.0, 0.05], dtype=torch.float64)
@@ -65,7 +66,7 @@ def loss_of(maps: Maps, seed: int = 1) -> Tensor:
     for name in MAPS:
         value = getattr(maps, name)
         weight = torch.rand(value.shape, generator=g, dtype=torch.float64) - 0.3
-        total = total + (value.double() * weight).sum()
+        total = total + (value.double() * weight.to(value.device)).sum().cpu()
     return total
 
 
@@ -75,37 +76,40 @@ def leaves(surfels: Surfels, features: Tensor, view: Pinhole) -> tuple[Surfels, 
     return new, features.clone().requires_grad_(), Pinhole(pose, *list(vars(view).values())[1:])
 
 
-def gradients(
-    draw: Callable[..., Maps], surfels: Surfels, features: Tensor, view: Pinhole
-) -> dict[str, Tensor]:
+def gradients(surfels: Surfels, features: Tensor, view: Pinhole) -> dict[str, Tensor]:
     s, f, v = leaves(surfels, features, view)
-    loss_of(draw(s, f, v, extra="distortion", normals=True)).backward()
+    loss_of(rasterize(s, f, v, extra="distortion", normals=True)).backward()
     named = {name: getattr(s, name).grad for name in ("means", "quats", "scales", "opacities")}
     return {**named, "features": f.grad, "pose": v.cam_from_world.grad[:3]}
 
 
-@pytest.mark.parametrize("make", [scene, hard_cases, many_thin])
-def test_double_maps_equal_the_reference(make: Callable[[], tuple[Surfels, Tensor]]) -> None:
-    surfels, features = make()
-    view = camera()
-    ours = rasterize(surfels, features, view, extra="distortion", normals=True)
-    theirs = reference.rasterize(surfels, features, view)
-    for name in MAPS:
-        torch.testing.assert_close(getattr(ours, name), getattr(theirs, name), rtol=1e-9, atol=1e-9)
+def maps_and_gradients(at: At, made: Made, view: Pinhole) -> list[Tensor]:
+    """The pose stays where it is, as in training."""
+    surfels = Surfels(*(at(getattr(made[0], f.name)) for f in fields(Surfels)))
+    features = at(made[1])
+    maps = rasterize(surfels, features, view, extra="distortion", normals=True)
+    found = gradients(surfels, features, view)
+    return [*(getattr(maps, name) for name in MAPS), *found.values()]
 
 
-@pytest.mark.parametrize("make", [scene, hard_cases, many_thin])
-def test_double_gradients_equal_the_reference(
-    make: Callable[[], tuple[Surfels, Tensor]],
+@cache
+def defined(make: Callable[[], Made], size: tuple[int, int]) -> list[Tensor]:
+    """By the definition, which takes a second: once for all backends."""
+    return list(by_definition(lambda at: maps_and_gradients(at, make(), camera(*size))))
+
+
+@pytest.mark.parametrize(
+    ("make", "size"),
+    [
+        *[(make, (37, 29)) for make in (scene, hard_cases, many_thin)],
+        *[(scene, size) for size in ((1, 1), (16, 16), (17, 31), (130, 9))],
+    ],
+)
+def test_maps_and_gradients_equal_the_definition(
+    make: Callable[[], Made], size: tuple[int, int], kernels: Backend
 ) -> None:
-    surfels, features = make()
-    view = camera()
-    ours = gradients(rasterize, surfels, features, view)
-    theirs = gradients(reference.rasterize, surfels, features, view)
-    for name, value in theirs.items():
-        torch.testing.assert_close(
-            ours[name], value, rtol=1e-7, atol=1e-7, msg=lambda m, n=name: f"{n}: {m}"
-        )
+    found = maps_and_gradients(kernels.here, make(), camera(*size))
+    kernels.agrees(found, defined(make, size), exact=1e-7)
 
 
 def test_every_gradient_equals_finite_differences() -> None:
@@ -113,7 +117,7 @@ def test_every_gradient_equals_finite_differences() -> None:
     surfels, features = scene(6, channels=2, seed=5)
     surfels = Surfels(surfels.means, surfels.quats, surfels.scales * 3, surfels.opacities * 0.5)
     view = camera(11, 9)
-    exact = gradients(rasterize, surfels, features, view)
+    exact = gradients(surfels, features, view)
 
     def value(**changed: Tensor) -> float:
         parts = {f.name: changed.get(f.name, getattr(surfels, f.name)) for f in fields(surfels)}
@@ -160,8 +164,8 @@ def test_float_gradients_agree_with_double() -> None:
     surfels, features = scene(300, seed=8)
     view = camera(64, 48)
     single = Surfels(*(getattr(surfels, f.name).float() for f in fields(surfels)))
-    exact = gradients(rasterize, surfels, features, view)
-    rough = gradients(rasterize, single, features.float(), view)
+    exact = gradients(surfels, features, view)
+    rough = gradients(single, features.float(), view)
     for name, value in exact.items():
         error = float((value - rough[name].double()).norm() / value.norm())
         assert error < 3e-3, (name, error)
@@ -203,7 +207,7 @@ def test_pixels_that_are_needed_do_not_notice_that_others_are_left_out(dtype: to
         rasterize(surfels, features, view, needed=needed.T)
 
 
-def test_an_empty_set_draws_nothing_and_has_empty_gradients() -> None:
+def test_an_empty_set_draws_nothing_and_has_empty_gradients(backend: Backend) -> None:
     surfels, features = scene(0)
     s, f, v = leaves(surfels, features, camera())
     maps = rasterize(s, f, v, extra="depth", normals=True)

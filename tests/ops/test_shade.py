@@ -2,12 +2,12 @@
 
 import pytest
 import torch
+from ops.backends import At, Backend, by_definition
 from torch import Tensor
 
 from refdgs_pipe import ops
 from refdgs_pipe.errors import ShapeError
 from refdgs_pipe.ops import Pinhole
-from refdgs_pipe.ops import reference_shade as reference
 
 H, W = 9, 12
 STEPS = {"eps": 1e-6, "atol": 1e-6, "rtol": 1e-5}
@@ -50,18 +50,18 @@ def covered(alpha: Tensor) -> Tensor:
     return torch.nonzero(alpha.detach().reshape(-1) > 0.05).flatten()
 
 
-def shade(of: object, m: dict[str, Tensor], view: Pinhole, near: bool, behind: bool) -> Tensor:
+def shade(m: dict[str, Tensor], view: Pinhole, near: bool, behind: bool) -> Tensor:
     """A picture through both operations, without a shader between."""
     pixels = covered(m["alpha"])
-    diffuse, roughness, reflected, cosine, found = of.shading_inputs(  # type: ignore[attr-defined]
+    diffuse, roughness, reflected, cosine, found = ops.shading_inputs(
         m["features"], m["alpha"], m["normal"], m["near"] if near else None, pixels, view
     )
     radiance = m["radiance"].reshape(-1, 3)[pixels] * cosine[:, None] + 0.3 * reflected.abs()
-    if near:
+    if found is not None:
         radiance = radiance + found[:, :3] ** 2
     object_alpha = m["alpha"] * 0.9
-    backdrop = torch.tensor([0.2, 0.5, 0.9], dtype=m["alpha"].dtype)
-    out: Tensor = of.composite(  # type: ignore[attr-defined]
+    backdrop = torch.tensor([0.2, 0.5, 0.9]).to(m["alpha"])
+    return ops.composite(
         diffuse * (0.5 + roughness[:, None]),
         radiance,
         pixels,
@@ -70,36 +70,35 @@ def shade(of: object, m: dict[str, Tensor], view: Pinhole, near: bool, behind: b
         backdrop,
         m["behind"] if behind else None,
     )
-    return out
+
+
+def moved(at: At, made: dict[str, Tensor]) -> dict[str, Tensor]:
+    return {name: at(value).requires_grad_() for name, value in made.items()}
 
 
 @pytest.mark.parametrize("near", [False, True])
 @pytest.mark.parametrize("behind", [False, True])
-def test_pictures_and_gradients_equal_the_definition(near: bool, behind: bool) -> None:
-    results = []
-    for of in (ops, reference):
-        m = maps(3)
-        image = shade(of, m, camera(), near, behind)
-        image.backward(torch.linspace(-1, 1, H * W * 3).double().reshape(H, W, 3))
-        results.append((image.detach(), {k: v.grad for k, v in m.items()}))
-    (image, grads), (expected, expected_grads) = results
-    assert torch.allclose(image, expected, rtol=0, atol=1e-12)
-    for name, wanted in expected_grads.items():
-        if wanted is not None:
-            assert torch.allclose(grads[name], wanted, rtol=1e-10, atol=1e-12), name
+def test_pictures_and_gradients_equal_the_definition(
+    near: bool, behind: bool, kernels: Backend
+) -> None:
+    def run(at: At) -> list[Tensor]:
+        m = moved(at, maps(3))
+        image = shade(m, camera(), near, behind)
+        image.backward(torch.linspace(-1, 1, H * W * 3).double().reshape(H, W, 3).to(image))
+        return [image.detach(), *(v.grad for v in m.values() if v.grad is not None)]
+
+    kernels.equals_the_definition(run)
 
 
 @pytest.mark.parametrize("edge", [float("inf"), 4.0])
-def test_normal_agreement_equals_the_definition(edge: float) -> None:
-    results = []
-    for of in (ops, reference):
-        m = maps(4)
-        loss = of.normal_agreement(m["normal"], m["depth"], m["alpha"], camera(), edge=edge)
+def test_normal_agreement_equals_the_definition(edge: float, kernels: Backend) -> None:
+    def run(at: At) -> list[Tensor]:
+        m = moved(at, maps(4))
+        loss = ops.normal_agreement(m["normal"], m["depth"], m["alpha"], camera(), edge=edge)
         (3 * loss).backward()
-        results.append((loss.detach(), m["normal"].grad, m["depth"].grad, m["alpha"].grad))
-    for found, wanted in zip(*results, strict=True):
-        found, wanted = torch.as_tensor(found), torch.as_tensor(wanted)
-        assert torch.allclose(found, wanted, rtol=1e-10, atol=1e-13)
+        return [loss.detach(), m["normal"].grad, m["depth"].grad, m["alpha"].grad]
+
+    kernels.equals_the_definition(run)
 
 
 def solid_maps(
@@ -113,17 +112,18 @@ def solid_maps(
 
 
 @pytest.mark.parametrize("size", [(H, W), (21, 150), (2, 2)])
-def test_normal_smoothness_equals_the_definition(size: tuple[int, int]) -> None:
-    results = []
-    for of in (ops, reference):
-        given = solid_maps(4, size=size)
-        loss = of.normal_smoothness(*given, shaded=0.3)
+def test_normal_smoothness_equals_the_definition(size: tuple[int, int], kernels: Backend) -> None:
+    made = solid_maps(4, size=size)
+    assert (made[3] <= 0.9).any() or size == (2, 2)
+
+    def run(at: At) -> list[Tensor]:
+        normal, *rest = (at(t) for t in made)
+        loss = ops.normal_smoothness(normal.requires_grad_(), *rest, shaded=0.3)
         (3 * loss).backward()
-        results.append((loss.detach(), given[0].grad))
-    assert (given[3] <= 0.9).any() or size == (2, 2)
-    for found, wanted in zip(*results, strict=True):
-        assert torch.allclose(found, wanted, rtol=1e-10, atol=1e-13)
-    assert float(results[0][0]) > 0
+        return [loss.detach(), normal.grad]
+
+    kernels.equals_the_definition(run)
+    assert float(by_definition(run)[0]) > 0
 
 
 def test_smoothness_and_its_gradient_equal_finite_differences_and_threads_do_not_matter() -> None:
@@ -141,7 +141,7 @@ def test_smoothness_and_its_gradient_equal_finite_differences_and_threads_do_not
     assert torch.equal(*found)
 
 
-def test_smoothness_spares_the_edges_of_colour_and_depth() -> None:
+def test_smoothness_spares_the_edges_of_colour_and_depth(backend: Backend) -> None:
     """The same step of the normal, where nothing else steps, the colour does, or the depth."""
     normal = torch.zeros(4, 6, 3).double()
     normal[:, :3, 0], normal[:, 3:, 1] = 1, 1
@@ -159,7 +159,7 @@ def test_smoothness_spares_the_edges_of_colour_and_depth() -> None:
     assert apart < 1e-3 * plain
 
 
-def test_gradients_equal_finite_differences() -> None:
+def test_gradients_equal_finite_differences(backend: Backend) -> None:
     m = maps(5)
     pixels, view = covered(m["alpha"]), camera()
     # below: away from the kinks of clipping, which are proved against the definition above
@@ -182,7 +182,7 @@ def test_gradients_equal_finite_differences() -> None:
     )
 
 
-def test_a_clipped_highlight_can_only_be_pulled_down() -> None:
+def test_a_clipped_highlight_can_only_be_pulled_down(backend: Backend) -> None:
     bright = torch.full((2, 3), 3.0, dtype=torch.float64, requires_grad=True)
     none = torch.zeros(2, 3, dtype=torch.float64)
     alpha = torch.ones(1, 2, dtype=torch.float64)
@@ -196,12 +196,12 @@ def test_a_clipped_highlight_can_only_be_pulled_down() -> None:
 def test_float_is_as_good_as_float_gets_and_threads_do_not_matter() -> None:
     size = (21, 150)  # wide enough for whole vectors of any instruction set
     exact = maps(6, size=size)
-    shade(reference, exact, camera(size=size), True, True).sum().backward()
+    shade(exact, camera(size=size), True, True).sum().backward()
     found = []
     for threads in (1, 2):
         torch.set_num_threads(threads)
         m = maps(6, torch.float32, size)
-        shade(ops, m, camera(torch.float32, size), True, True).sum().backward()
+        shade(m, camera(torch.float32, size), True, True).sum().backward()
         view = camera(torch.float32, size)
         loss = ops.normal_agreement(m["normal"], m["depth"], m["alpha"], view)
         loss.backward()
@@ -212,7 +212,7 @@ def test_float_is_as_good_as_float_gets_and_threads_do_not_matter() -> None:
     assert all(torch.equal(a, b) for a, b in zip(*found, strict=True))
 
 
-def test_no_covered_pixel_is_an_empty_picture() -> None:
+def test_no_covered_pixel_is_an_empty_picture(backend: Backend) -> None:
     m = maps(7)
     none = torch.zeros(0, dtype=torch.int64)
     parts = ops.shading_inputs(m["features"], m["alpha"], m["normal"], None, none, camera())
