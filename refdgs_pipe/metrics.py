@@ -9,6 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from refdgs_pipe.vectors import unit
+
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -38,7 +40,7 @@ def angle_deg(a: F32 | F64, b: F32 | F64) -> F64:
     Exactly 0 for equal vectors, which arccos of a rounded cosine is not (Kahan). A vector of
     length 0 is at 90 degrees to any other.
     """
-    a, b = _unit(a), _unit(b)
+    a, b = unit(a.astype(np.float64)), unit(b.astype(np.float64))
     apart, along = np.linalg.norm(a - b, axis=-1), np.linalg.norm(a + b, axis=-1)
     return np.asarray(np.degrees(2 * np.arctan2(apart, along)))
 
@@ -166,8 +168,3 @@ def worst_part(points: F64, distances: F64, *, edge: float, least: int) -> float
     means = np.bincount(place, distances) / count
     large = count >= least
     return float(means[large].max()) if large.any() else float(distances.mean())
-
-
-def _unit(vectors: F32 | F64) -> F64:
-    wide = vectors.astype(np.float64)
-    return np.asarray(wide / np.maximum(np.linalg.norm(wide, axis=-1, keepdims=True), 1e-12))

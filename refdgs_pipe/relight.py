@@ -18,6 +18,7 @@ from refdgs_pipe.color import linear_from_srgb, srgb_from_linear
 from refdgs_pipe.light import DIELECTRIC, SMOOTHEST, Environment, passed_share, reflected_share
 from refdgs_pipe.received import look_around
 from refdgs_pipe.tracing import Hits, Solid, at_hits
+from refdgs_pipe.vectors import unit
 
 F32 = NDArray[np.float32]
 Ints = NDArray[np.int64]
@@ -152,12 +153,12 @@ class Relit:
         tangent = at(self.tangents[:, :3])
         sign = self.tangents[mesh.faces[hits.face, 0], 3:]
         normal = local[:, :1] * tangent + local[:, 1:2] * np.cross(plain, tangent) * sign
-        normal = _unit(normal + local[:, 2:] * plain)
+        normal = unit(normal + local[:, 2:] * plain)
         along = (normal * toward).sum(1, keepdims=True)
-        mirrored = _unit(2 * along * normal - toward)
+        mirrored = unit(2 * along * normal - toward)
         rough = here.roughness[:, 0]
         incoming = self.light.mirrored(mirrored, rough)
-        start = at(mesh.vertices) + self.lift * _unit(plain)
+        start = at(mesh.vertices) + self.lift * unit(plain)
         near = self.solid.first(start, mirrored)
         incoming[near.rays] = self._seen(near, mirrored[near.rays], _REFLECTIONS)
         cosine = np.clip(along, 0.02, 1)
@@ -183,9 +184,9 @@ class Relit:
 
         if not more:
             return at(self._sent)
-        here, normal = self._at(at(mesh.uv)), _unit(at(mesh.normals))
+        here, normal = self._at(at(mesh.uv)), unit(at(mesh.normals))
         along = -(normal * directions).sum(1, keepdims=True)
-        onward = _unit(directions + 2 * along * normal)
+        onward = unit(directions + 2 * along * normal)
         incoming = self.light.mirrored(onward, here.roughness[:, 0])
         near = self.solid.first(at(mesh.vertices) + self.lift * normal, onward)
         incoming[near.rays] = self._seen(near, onward[near.rays], more - 1)
@@ -222,7 +223,7 @@ def rays_of(camera: Camera, pixels: Ints, offset: tuple[float, float] = (0.0, 0.
     row, column = np.divmod(pixels, camera.width)
     x, y = column + 0.5 + offset[0], row + 0.5 + offset[1]
     towards = np.column_stack([x, y, np.ones(len(pixels))]) @ np.linalg.inv(camera.K).T
-    return _unit((towards @ camera.cam_from_world[:3, :3]).astype(np.float32))
+    return unit((towards @ camera.cam_from_world[:3, :3]).astype(np.float32))
 
 
 def _eight(pixels: NDArray[np.uint16]) -> F32:
@@ -240,8 +241,3 @@ def _sample(picture: F32, uv: F32) -> F32:
     upper = picture[top, left] * (1 - across) + picture[top, right] * across
     lower = picture[below, left] * (1 - across) + picture[below, right] * across
     return np.asarray(upper * (1 - down) + lower * down, np.float32)
-
-
-def _unit(vectors: F32) -> F32:
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return np.asarray(vectors / np.maximum(length, 1e-9), np.float32)

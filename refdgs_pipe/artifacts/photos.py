@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import Camera, Lens
-from refdgs_pipe.color import srgb_from_linear
+from refdgs_pipe.color import fractions, srgb_from_linear
 from refdgs_pipe.files.images import read_png
 
 F32 = NDArray[np.float32]
@@ -47,7 +47,7 @@ def load_photo(views: Views, model: SparseModel, camera: Camera, *, scale: float
         CorruptError: the image or its mask is missing or damaged.
     """
     view = views[camera.name]
-    rgb = _unit(read_png(views.image_path(view)))
+    rgb = fractions(read_png(views.image_path(view)))
     mask_path = views.mask_path(view)
     mask = None if mask_path is None else _mask(mask_path, rgb)
     valid = np.ones(rgb.shape[:2], np.float32)
@@ -70,16 +70,12 @@ def load_photo(views: Views, model: SparseModel, camera: Camera, *, scale: float
 
 def _mask(path: Path, rgb: F32) -> F32:
     """(H, W) a mask at its photo's size; one that a user brought may be coloured or smaller."""
-    mask = _unit(read_png(path))
+    mask = fractions(read_png(path))
     plain = mask if mask.ndim == 2 else mask[..., :3].max(axis=2)
     if plain.shape != rgb.shape[:2]:
         size = (rgb.shape[1], rgb.shape[0])
         plain = np.asarray(cv2.resize(plain, size, interpolation=cv2.INTER_LINEAR), np.float32)
     return np.ascontiguousarray(plain)
-
-
-def _unit(pixels: NDArray[np.uint8] | NDArray[np.uint16]) -> F32:
-    return pixels.astype(np.float32) / np.float32(np.iinfo(pixels.dtype).max)
 
 
 def _undistortion(lens: Lens, camera: Camera) -> tuple[F32, F32]:

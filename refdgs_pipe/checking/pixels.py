@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from refdgs_pipe.artifacts.views import View, Views
-from refdgs_pipe.color import srgb_from_linear
+from refdgs_pipe.color import fractions, srgb_from_linear
 from refdgs_pipe.errors import CorruptError
 from refdgs_pipe.files.images import read_png
 
@@ -53,21 +53,17 @@ def exposures_of(views: Views) -> dict[str, Exposure]:
 
 
 def _exposure(views: Views, view: View) -> Exposure:
-    rgb = _unit(read_png(views.image_path(view)))
+    rgb = fractions(read_png(views.image_path(view)))
     if views.color_space == "linear":
         rgb = srgb_from_linear(rgb)
     path = views.mask_path(view)
     chosen = np.ones(rgb.shape[:2], np.bool_)
     if path is not None:
-        chosen = _unit(read_png(path)) > 0.5
+        chosen = fractions(read_png(path)) > 0.5
     pixels = rgb[chosen] if chosen.any() else rgb.reshape(-1, 3)
     luminance = pixels @ np.array([0.2126, 0.7152, 0.0722], np.float32)
     clipped = float((pixels.max(1) >= WHITE).mean())
     return Exposure(clipped, float(np.quantile(luminance, BRIGHT)))
-
-
-def _unit(pixels: NDArray[np.uint8] | NDArray[np.uint16]) -> F32:
-    return np.asarray(pixels.astype(np.float32) / np.iinfo(pixels.dtype).max, np.float32)
 
 
 def stops_apart(views: Views) -> float | None:

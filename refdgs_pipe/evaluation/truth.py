@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from refdgs_pipe.artifacts.mesh import TriangleMesh
 from refdgs_pipe.artifacts.truth import TruthFiles
-from refdgs_pipe.color import linear_from_srgb
+from refdgs_pipe.color import fractions, linear_from_srgb
 from refdgs_pipe.errors import CaptureError, CorruptError, InputError
 from refdgs_pipe.files.images import read_photo, read_png
 from refdgs_pipe.files.ply import read_mesh, read_ply
@@ -178,7 +178,7 @@ def read_material_truth(files: TruthFiles, ids: list[int]) -> MaterialTruth | No
         if not {"object_id", "alpha_ggx"} <= set(data.files):
             return None
         numbers, alpha = data["object_id"], data["alpha_ggx"]
-    albedo = _unit(read_png(files.albedo))
+    albedo = fractions(read_png(files.albedo))
     if albedo.ndim != 3 or not albedo.shape[:2] == depth.shape == numbers.shape == alpha.shape:
         raise CorruptError(f"{files.albedo}: not a colour picture of {files.depth.name}'s size")
     part = np.full(depth.shape, -1, np.int64)
@@ -190,7 +190,7 @@ def read_material_truth(files: TruthFiles, ids: list[int]) -> MaterialTruth | No
 
 def _read_normal(path: Path) -> tuple[F32, Mask | None]:
     """The vectors over (1, 1, 1), and where the file's own alpha says that they are valid."""
-    pixels = _unit(read_png(path))
+    pixels = fractions(read_png(path))
     if pixels.ndim != 3:
         raise CorruptError(f"{path}: {pixels.shape} pixels; expected a colour PNG of normals")
     rgb, valid = pixels[..., :3], None
@@ -205,7 +205,7 @@ def _read_depth(path: Path) -> F32:
         pixels = read_png(path)
         if pixels.ndim != 2 or pixels.dtype != np.uint16:
             raise CorruptError(f"{path}: expected a 16-bit grey PNG of depths")
-        depth = _unit(pixels) * np.float32(_NERO_DEPTH)
+        depth = fractions(pixels) * np.float32(_NERO_DEPTH)
         return np.where(depth < _NERO_BACKGROUND, depth, np.float32(0))
     try:
         with np.load(path, allow_pickle=False) as data:
@@ -222,15 +222,11 @@ def _read_depth(path: Path) -> F32:
 def _read_alpha(files: TruthFiles) -> tuple[F32 | None, Path]:
     """From a file of its own, else the photo's alpha channel; and which file that is."""
     if files.alpha is not None:
-        pixels = _unit(read_png(files.alpha))
+        pixels = fractions(read_png(files.alpha))
         return np.ascontiguousarray(pixels if pixels.ndim == 2 else pixels[..., 0]), files.alpha
     try:
         photo = read_photo(files.photo, upright=False)
     except (CaptureError, OSError) as error:
         raise CorruptError(f"{files.photo}: {error}") from None
-    alpha = np.ascontiguousarray(_unit(photo)[..., 3]) if photo.shape[2] == 4 else None
+    alpha = np.ascontiguousarray(fractions(photo)[..., 3]) if photo.shape[2] == 4 else None
     return alpha, files.photo
-
-
-def _unit(pixels: NDArray[np.uint8] | NDArray[np.uint16]) -> F32:
-    return pixels.astype(np.float32) / np.float32(np.iinfo(pixels.dtype).max)

@@ -11,6 +11,7 @@ from refdgs_pipe.artifacts.mesh import UvMesh
 from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
 from refdgs_pipe.export.about import About
 from refdgs_pipe.export.frame import AssetFrame
+from refdgs_pipe.vectors import unit
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -63,12 +64,11 @@ def product(
     """
     frame = AssetFrame.of(up, metres_per_unit)
     mesh = textured.mesh
+    tangents = unit(frame.directions(textured.tangents[:, :3])).astype(np.float32)
     return Product(
         vertices=frame.points(mesh.vertices).astype(np.float32),
-        normals=_unit(frame.directions(mesh.normals)),
-        tangents=np.concatenate(
-            [_unit(frame.directions(textured.tangents[:, :3])), textured.tangents[:, 3:]], axis=1
-        ),
+        normals=unit(frame.directions(mesh.normals)).astype(np.float32),
+        tangents=np.concatenate([tangents, textured.tangents[:, 3:]], axis=1),
         uv=np.clip(mesh.uv, 0, 1),
         faces=mesh.faces,
         base_color=_eight_bits(textured.base_color),
@@ -115,11 +115,6 @@ def png(pixels: U8) -> bytes:
     """A picture (H, W) or (H, W, 3) as PNG."""
     picture = pixels if pixels.ndim == 2 else pixels[..., ::-1]
     return cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, 6])[1].tobytes()
-
-
-def _unit(vectors: F64) -> F32:
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return np.asarray(vectors / np.maximum(length, 1e-12), np.float32)
 
 
 def _eight_bits(pixels: NDArray[np.uint16]) -> U8:

@@ -1,13 +1,14 @@
 """Differentiable operations on surfels and maps, each defined by a torch reference in float64."""
 
 from refdgs_pipe.ops.adam import adam_step, rates_of
-from refdgs_pipe.ops.clip import clip
+from refdgs_pipe.ops.clip import clip, srgb_curve
 from refdgs_pipe.ops.definition.rasterize import rotation_matrices
 from refdgs_pipe.ops.image_loss import image_loss, image_loss_and_error, ssim, ssim_map
 from refdgs_pipe.ops.mlp import mlp
 from refdgs_pipe.ops.photo import composited, mask_entropy
 from refdgs_pipe.ops.plan import Later, Plan
 from refdgs_pipe.ops.rasterize import rasterize
+from refdgs_pipe.ops.scene import Extra, Maps, Pinhole, ScreenStatistics, Surfels
 from refdgs_pipe.ops.shade import (
     composite,
     covered_pixels,
@@ -16,7 +17,6 @@ from refdgs_pipe.ops.shade import (
     shading_inputs,
 )
 from refdgs_pipe.ops.sph_mip import mip_levels, sph_mip
-from refdgs_pipe.ops.types import Extra, Maps, Pinhole, ScreenStatistics, Surfels
 
 __all__ = [
     "Extra",
@@ -43,6 +43,7 @@ __all__ = [
     "rotation_matrices",
     "shading_inputs",
     "sph_mip",
+    "srgb_curve",
     "ssim",
     "ssim_map",
 ]

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 
 from torch import Tensor
 
-from refdgs_pipe.ops.types import Pinhole
+from refdgs_pipe.ops.scene import Pinhole
 
 
 def of(tensor: Tensor | None) -> int:

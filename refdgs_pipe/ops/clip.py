@@ -1,4 +1,4 @@
-"""A limit that a gradient may pass downwards only; the same on every backend."""
+"""Light and its limits in plain torch, the same on every backend."""
 
 from typing import Any
 
@@ -14,6 +14,11 @@ def clip(x: Tensor, limit: float) -> Tensor:
     """
     out: Tensor = _ClipThatPullsDown.apply(x, limit)  # type: ignore[no-untyped-call]
     return out
+
+
+def srgb_curve(linear: Tensor) -> Tensor:
+    """sRGB of linear light above 0 (IEC 61966-2-1), in torch; nothing is clipped."""
+    return torch.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
 
 
 class _ClipThatPullsDown(torch.autograd.Function):

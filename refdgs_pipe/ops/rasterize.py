@@ -12,7 +12,7 @@ from refdgs_pipe.ops.definition import rasterize as definition
 from refdgs_pipe.ops.gpu import rasterize as on_gpu
 from refdgs_pipe.ops.plan import Plan
 from refdgs_pipe.ops.registry import Operation
-from refdgs_pipe.ops.types import Extra, Maps, Pinhole, Surfels
+from refdgs_pipe.ops.scene import Extra, Maps, Pinhole, Surfels
 
 MAX_CHANNELS = 20
 

@@ -12,7 +12,7 @@ from refdgs_pipe.ops.definition import shade as definition
 from refdgs_pipe.ops.gpu import shade as on_gpu
 from refdgs_pipe.ops.plan import Plan
 from refdgs_pipe.ops.registry import Operation
-from refdgs_pipe.ops.types import Pinhole
+from refdgs_pipe.ops.scene import Pinhole
 
 _COVERED_PIXELS = Operation(
     "covered_pixels", definition.covered_pixels, definition.covered_pixels, on_gpu.covered_pixels

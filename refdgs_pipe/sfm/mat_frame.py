@@ -7,7 +7,6 @@ from itertools import combinations
 import cv2
 import numpy as np
 
-from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.camera import F64, Lens
 from refdgs_pipe.files.colmap import opencv_lens
 from refdgs_pipe.mat.detection import Seen
@@ -74,16 +73,6 @@ def sightings_in_poses(poses: Poses, detections: dict[str, Seen]) -> list[Sighti
     return [
         Sighting(file, lenses[poses.lens_of[file]], poses.cam_from_world[file], detections[file])
         for file in sorted(set(poses.cam_from_world) & set(detections))
-    ]
-
-
-def sightings_in_model(model: SparseModel, detections: dict[str, Seen]) -> list[Sighting]:
-    """The same for a sparse model; `detections` by the name of the view or of its image."""
-    by_name = {file.removesuffix(".png"): seen for file, seen in detections.items()}
-    return [
-        Sighting(c.name, model.lenses[c.name], c.cam_from_world, by_name[c.name])
-        for c in model.cameras
-        if c.name in by_name
     ]
 
 

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from refdgs_pipe.artifacts.placement import Evidence, Poses
-from refdgs_pipe.camera import F64
 from refdgs_pipe.sfm.cuts import contradicted_group
 
 POINTS = 15  # points of the model, each seen by three photos or more, that hold a place
@@ -193,9 +192,3 @@ def groups(evidence: Evidence, files: list[str], *, least: int) -> list[list[str
     for file in files:
         found.setdefault(int(labels[row[file]]), []).append(file)
     return sorted(found.values(), key=len, reverse=True)
-
-
-def centers_of(poses: Poses, files: list[str]) -> F64:
-    """(n, 3) where the photos of these files were taken."""
-    stacked = np.stack([poses.cam_from_world[file] for file in files])
-    return np.asarray(-np.einsum("nji,nj->ni", stacked[:, :3, :3], stacked[:, :3, 3]))

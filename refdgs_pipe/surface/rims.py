@@ -14,6 +14,7 @@ from refdgs_pipe.artifacts.mesh import TriangleMesh
 from refdgs_pipe.received import links_of
 from refdgs_pipe.surface.silhouettes import MOST, Outline, spread_evenly
 from refdgs_pipe.tracing import Solid
+from refdgs_pipe.vectors import unit
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -52,13 +53,13 @@ def rim_of(mesh: TriangleMesh) -> Rim:
     ends, face = edges[open_edges], corners[open_edges // 3]
     a, b, c = (mesh.vertices[face[:, i]].astype(np.float64) for i in range(3))
     along = mesh.vertices[ends[:, 1]].astype(np.float64) - mesh.vertices[ends[:, 0]]
-    out = np.cross(along, _unit(np.cross(b - a, c - a)))
+    out = np.cross(along, unit(np.cross(b - a, c - a)))
     vertices, rows = np.unique(ends, return_inverse=True)
     links = rows.reshape(-1, 2)
     total = np.zeros((len(vertices), 3))
     for i in range(2):
         np.add.at(total, links[:, i], out)
-    return Rim(vertices, links, _unit(total))
+    return Rim(vertices, links, unit(total))
 
 
 def fit_rims(mesh: TriangleMesh, outlines: Sequence[Outline], *, limit: float) -> TriangleMesh:
@@ -126,7 +127,3 @@ def _dragged(mesh: TriangleMesh, rim: Rim, wanted: F64) -> TriangleMesh:
         pull[rim.vertices] = _FIRM * (wanted[:, axis] - points[rim.vertices, axis])
         points[:, axis] += spread_evenly(weight, pull, links, stiffness=_STIFFNESS, rest=_REST)
     return TriangleMesh(points.astype(np.float32), mesh.faces)
-
-
-def _unit(vectors: F64) -> F64:
-    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12))

@@ -23,7 +23,7 @@ from scipy.sparse import csr_array, vstack
 from refdgs_pipe.artifacts.mesh import UvMesh
 from refdgs_pipe.artifacts.photos import Photo
 from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
-from refdgs_pipe.color import linear_from_srgb, srgb_from_linear
+from refdgs_pipe.color import linear_from_srgb, srgb_from_linear, srgb_slope
 from refdgs_pipe.relight import Relit, offsets, rays_of
 from refdgs_pipe.texture.texels import cuts, rasterize
 from refdgs_pipe.tracing import Hits, at_hits
@@ -201,7 +201,7 @@ def correction(pixels: Pixels, base: F32, alike: tuple[F32, F32] | None = None) 
         linear = pixels.received * np.maximum(there + shown[: len(there)], 0) + pixels.mirrored
         apart = pixels.photo - srgb_from_linear(linear)
         trust = (pixels.matte / (1 + (apart**2).sum(1) / _ROBUST**2))[:, None]
-        slope = pixels.received * _srgb_slope(linear)
+        slope = pixels.received * srgb_slope(linear)
         weight[: len(there)] = trust * slope * slope
         wanted = -weight * shown
         wanted[: len(there)] = trust * slope * apart
@@ -241,13 +241,6 @@ def _solved(rows: csr_array, back: csr_array, weight: F32, wanted: F32) -> F32:
         before, size = size, (left * aim).sum(0)
         toward = aim + size / np.maximum(before, np.float32(1e-20)) * toward
     return np.asarray(found, np.float32)
-
-
-def _srgb_slope(linear: F32) -> F32:
-    """How fast the sRGB code rises with linear light; 0 where it is clipped."""
-    x = np.clip(linear, 2e-3, 1)
-    slope = np.where(x <= 0.0031308, 12.92, 1.055 / 2.4 * x ** (1 / 2.4 - 1))
-    return np.where(linear < 1, slope, 0).astype(np.float32)
 
 
 def _lookups(uv: F32, side: int) -> csr_array:

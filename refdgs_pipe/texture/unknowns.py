@@ -18,6 +18,7 @@ from refdgs_pipe.light import (
     passed_share,
     reflection_line,
 )
+from refdgs_pipe.ops import srgb_curve
 from refdgs_pipe.texture.sampling import Samples, seen_roughness
 
 F32 = NDArray[np.float32]
@@ -217,8 +218,7 @@ class _Blurred(torch.autograd.Function):
 
 def _encoded(linear: Tensor) -> Tensor:
     """sRGB of linear light, clipped at white as photos are."""
-    x = linear.clamp(1e-5, 1)
-    return torch.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
+    return srgb_curve(linear.clamp(1e-5, 1))
 
 
 def _logit(values: F32, least: float = 0.02) -> F32:

@@ -16,7 +16,7 @@ from refdgs_pipe.ops import (
     rasterize,
     shading_inputs,
 )
-from refdgs_pipe.ops.types import Extra
+from refdgs_pipe.ops.scene import Extra
 from refdgs_pipe.training.reflection import Shader, specular
 
 SHADED_ALPHA = 0.05  # thinner pixels show no object

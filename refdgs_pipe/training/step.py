@@ -13,7 +13,7 @@ from refdgs_pipe.ops import (
     normal_agreement,
     normal_smoothness,
 )
-from refdgs_pipe.ops.types import Extra
+from refdgs_pipe.ops.scene import Extra
 from refdgs_pipe.training import losses
 from refdgs_pipe.training.field import TrainableField
 from refdgs_pipe.training.photos import TrainingPhoto

@@ -4,8 +4,7 @@ import numpy as np
 from mat_scene import Shot, photo, ring, sighted, unseen
 from scipy.spatial.transform import Rotation
 
-from refdgs_pipe.artifacts.sparse_model import Ball, SparseModel
-from refdgs_pipe.camera import F64, Camera, Lens
+from refdgs_pipe.camera import F64, Lens
 from refdgs_pipe.mat.detection import Seen, seen_in
 from refdgs_pipe.mat.layout import mat_of
 from refdgs_pipe.sfm.frame import similarity
@@ -14,7 +13,6 @@ from refdgs_pipe.sfm.mat_frame import (
     Refused,
     Sighting,
     mat_frame,
-    sightings_in_model,
     triangulated,
 )
 
@@ -152,26 +150,3 @@ def test_two_kinds_of_mat_are_refused() -> None:
         "x", sightings[0].lens, sightings[0].cam_from_world, Seen("letter", s.ids + 60, s.corners)
     )
     assert isinstance(mat_frame([*sightings, other]), Refused)
-
-
-def test_a_sparse_model_gives_the_same_size() -> None:
-    sightings = seen_all_round()
-    cameras = tuple(
-        Camera(s.name.removesuffix(".png"), 640, 480, s.lens.K, s.cam_from_world, "train")
-        for s in sightings
-    )
-    model = SparseModel(
-        cameras,
-        {c.name: s.lens for c, s in zip(cameras, sightings, strict=True)},
-        np.zeros((0, 3)),
-        np.zeros((0, 3), np.uint8),
-        {},
-        Ball(np.zeros(3), 1.0),
-        np.array([0, 0, 1.0]),
-        np.eye(4),
-        None,
-        (),
-    )
-    detections = {s.name: s.seen for s in sightings}
-    frame = mat_frame(sightings_in_model(model, detections))
-    checked(frame, size=0.001, up=0.05)

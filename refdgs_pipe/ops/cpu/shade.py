@@ -7,7 +7,7 @@ from torch import Tensor
 
 from refdgs_pipe.ops import addresses
 from refdgs_pipe.ops.native import kernels
-from refdgs_pipe.ops.types import Pinhole
+from refdgs_pipe.ops.scene import Pinhole
 
 
 class ShadingInputs(torch.autograd.Function):

@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 
 from refdgs_pipe.ops.plan import Plan
-from refdgs_pipe.ops.types import Extra, Maps, Pinhole, ScreenStatistics, Surfels
+from refdgs_pipe.ops.scene import Extra, Maps, Pinhole, ScreenStatistics, Surfels
 
 MIN_ALPHA = 1 / 255
 MAX_ALPHA = 0.99

@@ -3,9 +3,9 @@
 import torch
 from torch import Tensor
 
-from refdgs_pipe.ops.clip import clip
+from refdgs_pipe.ops.clip import clip, srgb_curve
 from refdgs_pipe.ops.plan import Plan
-from refdgs_pipe.ops.types import Pinhole
+from refdgs_pipe.ops.scene import Pinhole
 
 
 def normalized(vectors: Tensor, epsilon: float = 1e-16) -> Tensor:
@@ -55,8 +55,7 @@ def shading_inputs(
 
 def srgb_of(linear: Tensor) -> Tensor:
     """The sRGB curve, clipped to [0, 1]; `clip` above."""
-    x = clip(linear, 1.0).clamp(min=1e-6)
-    return torch.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
+    return srgb_curve(clip(linear, 1.0).clamp(min=1e-6))
 
 
 def composite(

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from refdgs_pipe.ops import addresses, cuda
 from refdgs_pipe.ops.plan import Plan
-from refdgs_pipe.ops.types import (
+from refdgs_pipe.ops.scene import (
     EXTRAS,
     Extra,
     Maps,

@@ -8,7 +8,7 @@ from torch import Tensor
 from refdgs_pipe.ops import addresses, cuda
 from refdgs_pipe.ops.definition.shade import covered_pixels as counted
 from refdgs_pipe.ops.plan import Plan
-from refdgs_pipe.ops.types import Pinhole
+from refdgs_pipe.ops.scene import Pinhole
 
 AGREEMENT_BLOCK = 256  # pixels whose part of the sum is one
 
