@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scenes import look_at
 
+from refdgs_pipe.color import fractions, srgb_from_linear, srgb_slope
 from refdgs_pipe.geometry import (
     homography_warp,
     one_sided,
@@ -11,6 +12,7 @@ from refdgs_pipe.geometry import (
     widest_stretch,
     y_up_from_z_up,
 )
+from refdgs_pipe.vectors import unit
 
 
 def test_z_up_becomes_y_up_by_the_quarter_turn_of_every_tool() -> None:
@@ -56,3 +58,29 @@ def test_a_picture_moved_by_whole_pixels_stays_sharp() -> None:
     moved = homography_warp(picture, np.array([[1, 0, 2], [0, 1, 1], [0, 0, 1.0]]), 9, 8, -1.0)
     np.testing.assert_allclose(moved[:-1, :-2], picture[1:, 2:], atol=1e-6)
     assert (moved[-1] == -1).all()
+
+
+def test_units_have_length_1_in_their_own_type_and_zero_stays_zero() -> None:
+    for dtype in (np.float32, np.float64):
+        rng = np.random.default_rng(1)
+        vectors = (rng.normal(size=(4, 5, 3)) * 10.0 ** rng.integers(-6, 6, (4, 5, 1))).astype(
+            dtype
+        )
+        vectors[0, 0] = 0
+        found = unit(vectors)
+        length = np.linalg.norm(found, axis=-1)
+        assert found.dtype == dtype and length[0, 0] == 0
+        assert np.allclose(length.ravel()[1:], 1, atol=1e-6)
+
+
+def test_the_slope_of_the_srgb_curve_is_its_difference() -> None:
+    linear = np.array([0.01, 0.1, 0.5, 0.9], np.float32)
+    step = np.float32(1e-3)
+    wanted = (srgb_from_linear(linear + step) - srgb_from_linear(linear - step)) / (2 * step)
+    assert np.allclose(srgb_slope(linear), wanted, rtol=2e-3)
+    assert srgb_slope(np.array([1.5], np.float32))[0] == 0  # clipped
+
+
+def test_whole_numbers_of_both_sizes_become_fractions() -> None:
+    assert fractions(np.array([0, 255], np.uint8)).tolist() == [0, 1]
+    assert fractions(np.array([0, 65535], np.uint16)).tolist() == [0, 1]

@@ -84,6 +84,12 @@ class UvMesh:
 
     @classmethod
     def load(cls, folder: Path) -> Self:
+        """Read what `save` wrote.
+
+        Raises:
+            CorruptError: the file is missing or damaged, or has no normals or texture coordinates.
+        """
         data = read_mesh(folder / "mesh.ply")
-        assert data.normals is not None and data.uv is not None
+        if data.normals is None or data.uv is None:
+            raise CorruptError(f"{folder / 'mesh.ply'}: has no normals or no texture coordinates")
         return cls(data.vertices, data.normals, data.uv, data.faces)

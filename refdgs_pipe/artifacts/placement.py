@@ -4,6 +4,7 @@ import json
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, Self
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from refdgs_pipe.camera import F64
 from refdgs_pipe.errors import CorruptError
 
 I32 = NDArray[np.int32]
+_UNREADABLE = (OSError, EOFError, BadZipFile)
 
 
 @dataclass(frozen=True)
@@ -147,7 +149,7 @@ class Placement:
                 metres_per_unit=record["metres_per_unit"],
                 up=None if record["up"] is None else np.array(record["up"], float),
             )
-        except (OSError, ValueError, KeyError, IndexError, TypeError) as error:
+        except (*_UNREADABLE, ValueError, KeyError, IndexError, TypeError) as error:
             raise CorruptError(f"{folder / 'placement.json'}: {error}") from None
 
 

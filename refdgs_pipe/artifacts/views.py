@@ -5,11 +5,13 @@ import shutil
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal, Self
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
 from refdgs_pipe.camera import F64, Lens
+from refdgs_pipe.errors import CorruptError
 
 ColorSpace = Literal["srgb", "linear"]
 Background = Literal["photo", "removed", "masked"]
@@ -195,15 +197,23 @@ class Views:
 
     @classmethod
     def load(cls, folder: Path) -> Self:
-        record = json.loads((folder / "views.json").read_text(encoding="utf-8"))
-        items = tuple(_view_from_json(r) for r in record["views"])
-        skipped = tuple(Skipped(**s) for s in record["skipped"])
-        points = None
-        if (folder / "points.npz").exists():
-            with np.load(folder / "points.npz", allow_pickle=False) as data:
-                tracks = {k[6:]: data[k] for k in data.files if k.startswith("track/")}
-                points = KnownPoints(data["xyz"], data["colors"], tracks)
-        return cls(folder, items, record["color_space"], record["background"], skipped, points)
+        """Read what `save` wrote.
+
+        Raises:
+            CorruptError: a file is missing or damaged.
+        """
+        try:
+            record = json.loads((folder / "views.json").read_text(encoding="utf-8"))
+            items = tuple(_view_from_json(r) for r in record["views"])
+            skipped = tuple(Skipped(**s) for s in record["skipped"])
+            points = None
+            if (folder / "points.npz").exists():
+                with np.load(folder / "points.npz", allow_pickle=False) as data:
+                    tracks = {k[6:]: data[k] for k in data.files if k.startswith("track/")}
+                    points = KnownPoints(data["xyz"], data["colors"], tracks)
+            return cls(folder, items, record["color_space"], record["background"], skipped, points)
+        except (OSError, EOFError, BadZipFile, ValueError, KeyError, TypeError) as error:
+            raise CorruptError(f"{folder / 'views.json'}: {error}") from error
 
 
 def _view_to_json(view: View) -> dict[str, Any]:

@@ -7,7 +7,7 @@ import torch
 from ops.backends import At, Backend, by_definition
 from torch import Tensor
 
-from refdgs_pipe.errors import ShapeError
+from refdgs_pipe.errors import DeviceError, ShapeError
 from refdgs_pipe.ops import composited, mask_entropy
 
 H, W = 21, 37
@@ -106,3 +106,13 @@ def test_wrong_sizes_and_types_are_named() -> None:
         composited(rgb.permute(1, 2, 0), mask, backdrop)
     with pytest.raises(ShapeError, match="at least one pixel"):
         mask_entropy(torch.zeros(0, 4), mask)
+
+
+def test_tensors_on_several_devices_are_named() -> None:
+    rgb, mask, backdrop = photo()
+    with pytest.raises(DeviceError, match="mask is on meta, its image on cpu"):
+        mask_entropy(alphas(), mask.to("meta"))
+    with pytest.raises(DeviceError, match="backdrop is on cpu, rgb is on meta"):
+        composited(rgb.to("meta"), None, backdrop)
+    with pytest.raises(DeviceError, match="computes on the CPU only"):
+        mask_entropy(alphas().to("meta"), mask)

@@ -9,7 +9,7 @@ import torch
 from ops.backends import At, Backend, by_definition
 from torch import Tensor
 
-from refdgs_pipe.errors import ShapeError
+from refdgs_pipe.errors import DeviceError, ShapeError
 from refdgs_pipe.ops import Maps, Pinhole, Surfels, rasterize, rotation_matrices
 
 MAPS = ("features", "alpha", "normal", "depth", "median_depth", "distortion")
@@ -252,3 +252,12 @@ def test_sizes_that_disagree_are_named() -> None:
         rasterize(surfels, features.float(), camera())
     with pytest.raises(ShapeError, match="at most 20"):
         rasterize(surfels, torch.zeros(10, 18, dtype=torch.float64), camera(), normals=True)
+
+
+def test_a_device_without_kernels_and_an_image_without_pixels_are_named() -> None:
+    surfels, features = scene(10)
+    there = Surfels(*(getattr(surfels, f.name).to("meta") for f in fields(Surfels)))
+    with pytest.raises(DeviceError, match="means is on meta, but this build computes on the CPU"):
+        rasterize(there, features.to("meta"), camera())
+    with pytest.raises(ShapeError, match="image of 0x9: give 1 to 32000 pixels a side"):
+        rasterize(surfels, features, camera(0, 9))

@@ -240,3 +240,11 @@ def test_wrong_sizes_are_refused() -> None:
     with pytest.raises(ShapeError, match="four neighbours"):
         two = [m[name][:2, :2] for name in ("normal", "depth", "alpha")]
         ops.normal_agreement(*two, tiny)
+
+
+def test_smoothness_needs_neighbours_on_two_sides_and_images_of_one_size() -> None:
+    given = solid_maps(4)
+    with pytest.raises(ShapeError, match="no pixel has neighbours on two sides"):
+        ops.normal_smoothness(*(t[:1] for t in given), shaded=0.1)
+    with pytest.raises(ShapeError, match="features is"):
+        ops.normal_smoothness(given[0], given[1][1:], *given[2:], shaded=0.1)
