@@ -15,9 +15,9 @@ from refdgs_pipe.artifacts.appearance import Appearance
 from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.color import linear_from_srgb, srgb_from_linear
+from refdgs_pipe.irradiance import look_around
 from refdgs_pipe.light import DIELECTRIC, SMOOTHEST, Environment, passed_share, reflected_share
-from refdgs_pipe.received import look_around
-from refdgs_pipe.tracing import Hits, Solid, at_hits
+from refdgs_pipe.ray_casting import Hits, Solid, at_hits
 from refdgs_pipe.vectors import unit
 
 F32 = NDArray[np.float32]

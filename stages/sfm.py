@@ -29,7 +29,7 @@ class SfmParams(Params):
 @stage(version=6, programs=("pycolmap",))
 def sfm(views: Views, params: SfmParams, job: Job) -> Placement:
     """Place the photos, in harder ways where easier ones leave some out."""
-    from refdgs_pipe.child import ChildCrashed, call_in_child
+    from refdgs_pipe.child_process import ChildCrashed, call_in_child
     from refdgs_pipe.sfm.known import needs_points, posed_photos, without_points
     from refdgs_pipe.sfm.pictures import plain_images
     from refdgs_pipe.sfm.poses import Effort

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from solids import sphere
 
+from refdgs_pipe.irradiance import look_around
 from refdgs_pipe.light import (
     ROUGHNESSES,
     Environment,
@@ -16,8 +17,7 @@ from refdgs_pipe.light import (
     solid_angles,
     texel_directions,
 )
-from refdgs_pipe.received import look_around
-from refdgs_pipe.tracing import Solid, cosine_rays
+from refdgs_pipe.ray_casting import Solid, cosine_rays
 
 RANDOM = np.random.default_rng(0)
 

@@ -13,7 +13,7 @@ from refdgs_pipe.artifacts.views import KnownPose
 from refdgs_pipe.errors import CaptureError, InputError
 from refdgs_pipe.files.archive import check_zip, unpack_zip
 from refdgs_pipe.files.kinds import is_candidate, sniff
-from refdgs_pipe.wording import printable
+from refdgs_pipe.formatting import printable
 
 Kind = Literal["photos", "blender", "nerfstudio", "nero", "colmap"]
 MaskKind = Literal["drawn", "alpha", "depth"]

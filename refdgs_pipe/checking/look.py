@@ -17,7 +17,7 @@ from refdgs_pipe.artifacts.placement import Placement, Poses
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.views import View, Views
 from refdgs_pipe.checking.pixels import Exposure, exposures_of
-from refdgs_pipe.child import ChildCrashed, ChildTimeout
+from refdgs_pipe.child_process import ChildCrashed, ChildTimeout
 from refdgs_pipe.errors import CaptureError, PoseError
 from refdgs_pipe.pipeline.catalog import load_stages
 from refdgs_pipe.pipeline.events import Event, Progress, Warned
@@ -147,7 +147,7 @@ def _placed(
     stop: threading.Event,
 ) -> Look:
     """Place the photos with few features, once, and let the gate judge the result."""
-    from refdgs_pipe.child import call_in_child
+    from refdgs_pipe.child_process import call_in_child
     from refdgs_pipe.sfm.pictures import plain_images
     from refdgs_pipe.sfm.poses import Effort
     from refdgs_pipe.sfm.solve import solve

@@ -17,7 +17,7 @@ from refdgs_pipe.cli.logs import keep_traceback
 from refdgs_pipe.cli.mat import mat_command
 from refdgs_pipe.cli.running import Options, make, print_plan, steps_json
 from refdgs_pipe.errors import Cancelled, InputError, RefdgsError
-from refdgs_pipe.wording import duration, size
+from refdgs_pipe.formatting import duration, size
 
 HELP = "Photos of a glossy object in, a textured GLB and USDZ out."
 

@@ -18,9 +18,9 @@ from refdgs_pipe.cli.running import Options, bring_up_to
 from refdgs_pipe.cli.signals import Stopper
 from refdgs_pipe.cli.workspace import Memory, Workspace
 from refdgs_pipe.errors import Cancelled, InputError, RefdgsError
+from refdgs_pipe.formatting import duration
 from refdgs_pipe.pipeline.events import Event, Finished, Started
 from refdgs_pipe.pipeline.store import Store
-from refdgs_pipe.wording import duration
 
 SCORED = "evaluate"  # the last stage that a cell needs
 SEED = "train.seed"

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from types import TracebackType
 from typing import Any, Self
 
+from refdgs_pipe.formatting import duration, figure
 from refdgs_pipe.pipeline.events import (
     Damaged,
     Event,
@@ -17,7 +18,6 @@ from refdgs_pipe.pipeline.events import (
     Started,
     Warned,
 )
-from refdgs_pipe.wording import duration, figure
 
 WINDOW_S = 30.0  # how far back the speed of a stage is measured
 FIRST_LINE_S, LINE_S = 10.0, 30.0  # plain progress lines: the first, then one every so often

@@ -10,10 +10,10 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from refdgs_pipe import __version__
-from refdgs_pipe.child import call_in_child
+from refdgs_pipe.child_process import call_in_child
 from refdgs_pipe.cli.device import core_count, cuda_problem, described, has_driver
 from refdgs_pipe.errors import RefdgsError
-from refdgs_pipe.wording import size
+from refdgs_pipe.formatting import size
 
 # module -> (distribution, what the system must have for it on Debian)
 LIBRARIES = {

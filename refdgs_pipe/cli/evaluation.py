@@ -9,8 +9,8 @@ from refdgs_pipe.artifacts.scores import Scores
 from refdgs_pipe.cli import workspace as spaces
 from refdgs_pipe.cli.running import Options, bring_up_to
 from refdgs_pipe.cli.workspace import Workspace
+from refdgs_pipe.formatting import duration
 from refdgs_pipe.pipeline.plan import Step
-from refdgs_pipe.wording import duration
 
 STAGE = "evaluate"
 # figure -> label, unit, digits, remark

@@ -17,11 +17,11 @@ from refdgs_pipe.cli.verdict import closing_lines, verdict_of
 from refdgs_pipe.cli.workspace import Workspace, is_workspace
 from refdgs_pipe.errors import Cancelled, RefdgsError, WorkspaceBusy, WriteError
 from refdgs_pipe.evaluation.verdict import Verdict
+from refdgs_pipe.formatting import duration, figure, size
 from refdgs_pipe.pipeline.catalog import PUBLISHED
 from refdgs_pipe.pipeline.events import Emit, Event, Finished, Started
 from refdgs_pipe.pipeline.plan import Step
 from refdgs_pipe.pipeline.runner import Request, run
-from refdgs_pipe.wording import duration, figure, size
 
 TRAINING = "train"  # the stage that takes long
 DEGRADED = 3  # exit code of --strict when there were warnings, or the result is poor

@@ -12,7 +12,7 @@ from refdgs_pipe.camera import Camera
 from refdgs_pipe.color import linear_from_srgb
 from refdgs_pipe.evaluation.truth import MaterialTruth, TruePart
 from refdgs_pipe.metrics import rank_correlation, scale_invariant_rmse
-from refdgs_pipe.tracing import Solid, at_hits
+from refdgs_pipe.ray_casting import Solid, at_hits
 
 F32 = NDArray[np.float32]
 Ints = NDArray[np.int64]

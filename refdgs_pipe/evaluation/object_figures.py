@@ -21,7 +21,7 @@ from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.evaluation.wholeness import loose_parts, open_holes, seen_shares
 from refdgs_pipe.metrics import psnr
-from refdgs_pipe.tracing import Solid
+from refdgs_pipe.ray_casting import Solid
 
 F32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from refdgs_pipe.color import linear_from_srgb, srgb_from_linear
 from refdgs_pipe.export.product import Product
 from refdgs_pipe.light import reflected_share
-from refdgs_pipe.tracing import Hits, Solid
+from refdgs_pipe.ray_casting import Hits, Solid
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]

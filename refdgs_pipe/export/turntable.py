@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from refdgs_pipe.color import srgb_from_linear
 from refdgs_pipe.export.preview import cast, rays_around, reach_around, shade
 from refdgs_pipe.export.product import Product
-from refdgs_pipe.tracing import Hits, at_hits
+from refdgs_pipe.ray_casting import Hits, at_hits
 
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]

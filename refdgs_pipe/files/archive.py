@@ -12,7 +12,7 @@ from pathlib import Path, PurePosixPath
 
 from refdgs_pipe.errors import CaptureError, WriteError
 from refdgs_pipe.files.kinds import sniff
-from refdgs_pipe.wording import printable, size
+from refdgs_pipe.formatting import printable, size
 
 MAX_MEMBERS = 20_000
 MAX_BYTES = 64_000_000_000  # unpacked

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from refdgs_pipe.child import ChildCrashed, ChildTimeout, call_in_child
+from refdgs_pipe.child_process import ChildCrashed, ChildTimeout, call_in_child
 from refdgs_pipe.errors import CaptureError
-from refdgs_pipe.wording import printable
+from refdgs_pipe.formatting import printable
 
 U8 = NDArray[np.uint8]
 

@@ -17,7 +17,7 @@ from PIL import Image, ImageCms
 from refdgs_pipe.errors import CaptureError, CorruptError
 from refdgs_pipe.files.heif import heif_size, read_heif
 from refdgs_pipe.files.kinds import sniff
-from refdgs_pipe.wording import printable
+from refdgs_pipe.formatting import printable
 
 Pixels = NDArray[np.uint8] | NDArray[np.uint16]
 

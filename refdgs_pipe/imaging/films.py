@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from refdgs_pipe.child import ChildCrashed, OnProgress, call_in_child
+from refdgs_pipe.child_process import ChildCrashed, OnProgress, call_in_child
 from refdgs_pipe.errors import CaptureError
 from refdgs_pipe.files.images import MAX_PIXELS, write_png
-from refdgs_pipe.wording import printable
+from refdgs_pipe.formatting import printable
 
 U8 = NDArray[np.uint8]
 

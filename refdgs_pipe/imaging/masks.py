@@ -12,7 +12,7 @@ from refdgs_pipe.artifacts.capture import Frame
 from refdgs_pipe.errors import CaptureError
 from refdgs_pipe.files.images import Pixels, read_photo
 from refdgs_pipe.files.kinds import is_candidate
-from refdgs_pipe.wording import printable
+from refdgs_pipe.formatting import printable
 
 U8 = NDArray[np.uint8]
 

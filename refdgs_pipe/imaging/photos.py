@@ -15,6 +15,7 @@ from refdgs_pipe.color import srgb_from_linear
 from refdgs_pipe.errors import CaptureError
 from refdgs_pipe.files.images import Pixels, orient, read_header, read_photo, write_png
 from refdgs_pipe.files.kinds import PHOTO_SUFFIX, RAW_SUFFIX, VIDEO_SUFFIX, sniff
+from refdgs_pipe.formatting import printable
 from refdgs_pipe.imaging.masks import (
     U8,
     are_inverted,
@@ -27,7 +28,6 @@ from refdgs_pipe.imaging.masks import (
 from refdgs_pipe.imaging.metadata import held_against, read_exif
 from refdgs_pipe.imaging.quality import check_picture, sharpness_and_exposure
 from refdgs_pipe.imaging.raw import Development, develop, is_raw, plan_development
-from refdgs_pipe.wording import printable
 
 _CALLED_PHOTO = (PHOTO_SUFFIX, RAW_SUFFIX, VIDEO_SUFFIX)
 

@@ -12,7 +12,7 @@ from refdgs_pipe.errors import CaptureError
 from refdgs_pipe.files.images import MAX_PIXELS
 from refdgs_pipe.files.kinds import RAW_SUFFIX, sniff
 from refdgs_pipe.files.tiff import is_raw_tiff
-from refdgs_pipe.wording import printable
+from refdgs_pipe.formatting import printable
 
 
 @dataclass(frozen=True)

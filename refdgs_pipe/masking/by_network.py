@@ -10,7 +10,7 @@ import numpy as np
 from refdgs_pipe.artifacts.sparse_model import Ball, SparseModel
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import Camera
-from refdgs_pipe.child import ChildCrashed, call_in_child
+from refdgs_pipe.child_process import ChildCrashed, call_in_child
 from refdgs_pipe.errors import InputError
 from refdgs_pipe.ground.shots import F32, Bools, Shot, grown, resized
 from refdgs_pipe.masking.network import PHOTO_S, SIDE, U8, Network

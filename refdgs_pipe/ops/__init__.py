@@ -6,7 +6,7 @@ from refdgs_pipe.ops.definition.rasterize import rotation_matrices
 from refdgs_pipe.ops.image_loss import image_loss, image_loss_and_error, ssim, ssim_map
 from refdgs_pipe.ops.mlp import mlp
 from refdgs_pipe.ops.photo import composited, mask_entropy
-from refdgs_pipe.ops.plan import Later, Plan
+from refdgs_pipe.ops.plan import Plan, Readback
 from refdgs_pipe.ops.rasterize import rasterize
 from refdgs_pipe.ops.scene import Extra, Maps, Pinhole, ScreenStatistics, Surfels
 from refdgs_pipe.ops.shade import (
@@ -20,10 +20,10 @@ from refdgs_pipe.ops.sph_mip import mip_levels, sph_mip
 
 __all__ = [
     "Extra",
-    "Later",
     "Maps",
     "Pinhole",
     "Plan",
+    "Readback",
     "ScreenStatistics",
     "Surfels",
     "adam_step",

@@ -113,7 +113,7 @@ class Plan:
         self._since.clear()
 
 
-class Later(Generic[Note]):
+class Readback(Generic[Note]):
     """Numbers of steps on their way from the GPU, read LAG steps later; on a CPU at once.
 
     The lag is fixed, so what follows from them does not depend on the GPU's speed.

@@ -15,11 +15,11 @@ from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
 from refdgs_pipe.export.gltf import write_glb
 from refdgs_pipe.export.product import Product, product
+from refdgs_pipe.formatting import counted, size
 from refdgs_pipe.reporting.facts import Drawing, Facts
 from refdgs_pipe.reporting.html import Html, figure, image, joined, tag
 from refdgs_pipe.reporting.pictures import data_uri, fitted, webp
 from refdgs_pipe.texture.texels import rasterize
-from refdgs_pipe.wording import counted, size
 
 U8 = NDArray[np.uint8]
 VIEWER = "model-viewer-4.4.0.umd.min.js"

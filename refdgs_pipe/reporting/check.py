@@ -6,13 +6,13 @@ from pathlib import Path
 from refdgs_pipe import __version__
 from refdgs_pipe.checking.findings import Finding
 from refdgs_pipe.checking.record import Checked
+from refdgs_pipe.formatting import counted
 from refdgs_pipe.pipeline.atomic import disk_errors, write_text
 from refdgs_pipe.reporting import placement, plots
 from refdgs_pipe.reporting.facts import readable
 from refdgs_pipe.reporting.html import Content, Html, figure, joined, table, tag
 from refdgs_pipe.reporting.page import document
 from refdgs_pipe.reporting.photos import camera_plans, photo_faults, sheet
-from refdgs_pipe.wording import counted
 
 _CLASSES = {"yes": "good", "but": "degraded", "unclear": "degraded", "no": "failed"}
 _STATES = {

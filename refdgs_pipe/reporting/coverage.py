@@ -6,12 +6,12 @@ from numpy.typing import NDArray
 from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
 from refdgs_pipe.evaluation.wholeness import WELL, open_rims
 from refdgs_pipe.export.turntable import INSIDE, LITTLE, MUCH, UNSEEN, render_coverage
+from refdgs_pipe.formatting import counted
 from refdgs_pipe.reporting.asset import product_of
 from refdgs_pipe.reporting.facts import Drawing, Facts
 from refdgs_pipe.reporting.html import Html, figure, image, joined, table, tag
 from refdgs_pipe.reporting.pictures import webp
 from refdgs_pipe.texture.texels import rasterize
-from refdgs_pipe.wording import counted
 
 U8 = NDArray[np.uint8]
 _FRAMES, _FRAME, _MAP = 4, 300, 512

@@ -11,10 +11,10 @@ from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.errors import RefdgsError
 from refdgs_pipe.evaluation.verdict import Verdict, judged
+from refdgs_pipe.formatting import duration, figure, size
 from refdgs_pipe.pipeline.stage import Artifact
 from refdgs_pipe.reporting.facts import Facts
 from refdgs_pipe.reporting.html import Content, Html, joined, tag
-from refdgs_pipe.wording import duration, figure, size
 
 _WORDS = {
     "failed": "Failed: the last run ended with an error.",

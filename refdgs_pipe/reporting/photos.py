@@ -11,6 +11,7 @@ from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.views import View, Views
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.errors import RefdgsError
+from refdgs_pipe.formatting import counted
 from refdgs_pipe.geometry import y_up_from_z_up
 from refdgs_pipe.imaging.quality import blurred
 from refdgs_pipe.reporting import plots
@@ -18,7 +19,6 @@ from refdgs_pipe.reporting.facts import Drawing, Facts
 from refdgs_pipe.reporting.html import Html, figure, image, joined, tag
 from refdgs_pipe.reporting.pictures import thumbnail, webp
 from refdgs_pipe.reporting.placement import lost_photos
-from refdgs_pipe.wording import counted
 
 _SIDE = 168  # px, the longer side of a thumbnail
 _AT_ONCE = 24  # photos shown before "show the others"

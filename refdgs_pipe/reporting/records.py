@@ -6,10 +6,10 @@ from pathlib import Path
 
 from refdgs_pipe.artifacts.asset import Asset, AssetFile
 from refdgs_pipe.artifacts.scores import VIEW_FIGURES, Scores
+from refdgs_pipe.formatting import duration, figure, size
 from refdgs_pipe.reporting import plots
 from refdgs_pipe.reporting.facts import Drawing, Facts, Result
 from refdgs_pipe.reporting.html import Content, Html, joined, table, tag
-from refdgs_pipe.wording import duration, figure, size
 
 _LABELS = {
     "psnr": ("PSNR", "dB", 2),

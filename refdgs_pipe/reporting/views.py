@@ -19,12 +19,12 @@ from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.color import srgb_from_linear
 from refdgs_pipe.errors import CorruptError, RefdgsError
+from refdgs_pipe.formatting import counted
 from refdgs_pipe.metrics import psnr
 from refdgs_pipe.reporting import plots
 from refdgs_pipe.reporting.facts import Drawing, Facts
 from refdgs_pipe.reporting.html import Html, figure, image, joined, tag
 from refdgs_pipe.reporting.pictures import ERROR_FULL, eight_bits, error_map, webp, with_alpha
-from refdgs_pipe.wording import counted
 
 F32 = NDArray[np.float32]
 DEVICE = "cpu"  # some small pictures: no GPU is worth waking up for them

@@ -9,6 +9,7 @@ import numpy as np
 
 from refdgs_pipe.artifacts.placement import Attempt, Placement, Poses
 from refdgs_pipe.artifacts.views import Views
+from refdgs_pipe.formatting import counted
 from refdgs_pipe.mat.detection import Seen, seen_in_files
 from refdgs_pipe.mat.layout import LINE_MM
 from refdgs_pipe.sfm.mat_frame import Refused, mat_frame, sightings_in_poses
@@ -17,7 +18,6 @@ from refdgs_pipe.sfm.pictures import MaskUse, Pictures, feature_masks
 from refdgs_pipe.sfm.posed import shots_of
 from refdgs_pipe.sfm.poses import Effort
 from refdgs_pipe.sfm.trust import standing
-from refdgs_pipe.wording import counted
 
 GOOD = 0.9  # share of photos trusted above which the slow rungs are not worth their time
 HOPE = 0.25  # share of photos trusted below which adapting features will not reach enough

@@ -16,8 +16,8 @@ from refdgs_pipe.artifacts.surface_map import SurfaceMap
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.color import srgb_from_linear
 from refdgs_pipe.geometry import without_jumps
+from refdgs_pipe.ray_casting import Solid
 from refdgs_pipe.surface.silhouettes import looked_up
-from refdgs_pipe.tracing import Solid
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from refdgs_pipe.artifacts.mesh import Mesh, TriangleMesh
-from refdgs_pipe.child import call_in_child
+from refdgs_pipe.child_process import call_in_child
 from refdgs_pipe.errors import MeshError
 from refdgs_pipe.surface.topology import (
     Rim,

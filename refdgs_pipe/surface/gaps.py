@@ -20,7 +20,7 @@ from refdgs_pipe.artifacts.mesh import RawMesh, TriangleMesh
 from refdgs_pipe.artifacts.sparse_model import Ball
 from refdgs_pipe.artifacts.surface_map import SurfaceMap
 from refdgs_pipe.camera import Camera
-from refdgs_pipe.received import links_of
+from refdgs_pipe.irradiance import links_of
 from refdgs_pipe.surface.rims import rim_of
 from refdgs_pipe.surface.topology import compacted
 

@@ -7,7 +7,7 @@ from refdgs_pipe.artifacts.mesh import Mesh, TriangleMesh
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.surface_map import SurfaceMap
 from refdgs_pipe.camera import F64, Camera
-from refdgs_pipe.child import ChildCrashed, ChildTimeout
+from refdgs_pipe.child_process import ChildCrashed, ChildTimeout
 from refdgs_pipe.errors import MeshError
 from refdgs_pipe.surface.cleanup import clean
 from refdgs_pipe.surface.gaps import without_base

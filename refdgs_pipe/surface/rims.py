@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from refdgs_pipe.artifacts.mesh import TriangleMesh
-from refdgs_pipe.received import links_of
+from refdgs_pipe.irradiance import links_of
+from refdgs_pipe.ray_casting import Solid
 from refdgs_pipe.surface.silhouettes import MOST, Outline, spread_evenly
-from refdgs_pipe.tracing import Solid
 from refdgs_pipe.vectors import unit
 
 F32 = NDArray[np.float32]

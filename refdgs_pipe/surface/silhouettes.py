@@ -15,7 +15,7 @@ from scipy.sparse.linalg import cg
 
 from refdgs_pipe.artifacts.mesh import TriangleMesh
 from refdgs_pipe.camera import Camera
-from refdgs_pipe.tracing import Solid
+from refdgs_pipe.ray_casting import Solid
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]

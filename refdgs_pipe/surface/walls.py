@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from refdgs_pipe.artifacts.mesh import TriangleMesh
+from refdgs_pipe.ray_casting import Solid
 from refdgs_pipe.surface.rims import Rim, rim_of
 from refdgs_pipe.surface.silhouettes import Outline
-from refdgs_pipe.tracing import Solid
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]

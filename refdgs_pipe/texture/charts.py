@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from refdgs_pipe.artifacts.mesh import Mesh, TriangleMesh, UvMesh
-from refdgs_pipe.child import ChildCrashed, ChildTimeout, call_in_child
+from refdgs_pipe.child_process import ChildCrashed, ChildTimeout, call_in_child
 from refdgs_pipe.errors import MeshError
 from refdgs_pipe.texture.programs import PROGRAMS, Program, one_by_one_corners
 

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from refdgs_pipe.artifacts.appearance import Appearance
 from refdgs_pipe.artifacts.mesh import TriangleMesh
+from refdgs_pipe.irradiance import Sky, links_of, look_around, patches, spread
 from refdgs_pipe.light import Environment, blur, lookups
-from refdgs_pipe.received import Sky, links_of, look_around, patches, spread
 from refdgs_pipe.texture.sampling import Samples
-from refdgs_pipe.texture.swing import Swing, smooth_step
 from refdgs_pipe.texture.unknowns import Batch, State, Unknown
+from refdgs_pipe.texture.view_variation import ViewVariation, smooth_step
 
 F32 = NDArray[np.float32]
 Ints = NDArray[np.int64]
@@ -201,14 +201,14 @@ class _Problem:
         return replace(state, received=np.maximum(received, 1e-3))
 
     def tell_metal(self, state: State, between: tuple[float, float]) -> State:
-        """Tell metal by how much reflections swing.
+        """Estimate metal from how much reflections vary from view to view.
 
         Args:
             between: what reflects no more than the first is no metal, no less than the second is.
         """
-        light, swing = self._swing(state)
+        light, variation = self._variation(state)
         plastic, metal = between
-        found = swing.reflectance(light, state.roughness)
+        found = variation.reflectance(light, state.roughness)
         metallic = smooth_step(found, plastic, metal)
         return self._lit(replace(state, metallic=metallic, told_metallic=metallic))
 
@@ -226,7 +226,7 @@ class _Problem:
     def without_false_metal(self, state: State) -> State:
         """Metal stays where it explains what the views show better than one colour a place does.
 
-        Where the mesh is not the surface, colours swing from view to view as a metal's do. Whole
+        Where the mesh is not the surface, colours vary from view to view as a metal's do. Whole
         patches are judged, so that a metal that is fitted well in most places stays whole.
         """
         metal = np.flatnonzero(state.metallic > 0.5)
@@ -253,20 +253,20 @@ class _Problem:
         return (back @ missed)[:, 0], np.maximum(varied, 0).mean(1)
 
     def tell_roughness(self, state: State) -> State:
-        """Tell roughness by how much reflections swing.
+        """Estimate roughness from how much reflections vary from view to view.
 
         A metal's reflectance is not known beforehand. But least squares only ever takes it for too
         rough, so there the smoother of both counts.
         """
-        light, swing = self._swing(state)
-        swung = swing.roughness(light, state.metallic, state.tint)
-        smoother = np.minimum(state.roughness, swung)
-        roughness = np.asarray(swung + state.metallic * (smoother - swung), np.float32)
+        light, variation = self._variation(state)
+        found = variation.roughness(light, state.metallic, state.tint)
+        smoother = np.minimum(state.roughness, found)
+        roughness = np.asarray(found + state.metallic * (smoother - found), np.float32)
         return self._lit(replace(state, roughness=roughness, told_roughness=roughness))
 
-    def _swing(self, state: State) -> tuple[Environment, Swing]:
+    def _variation(self, state: State) -> tuple[Environment, ViewVariation]:
         light = Environment(state.light.reshape(self.height, -1, 3))
-        return light, Swing(self.samples, self.corners, self.near, self.links)
+        return light, ViewVariation(self.samples, self.corners, self.near, self.links)
 
     def descend(
         self, state: State, epochs: int, rate: float, progress: Callable[[int], None]

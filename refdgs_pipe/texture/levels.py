@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from refdgs_pipe.artifacts.mesh import Mesh
 from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
-from refdgs_pipe.child import call_in_child
+from refdgs_pipe.child_process import call_in_child
 from refdgs_pipe.errors import MeshError
 from refdgs_pipe.texture.charts import seam_split
 from refdgs_pipe.texture.tangents import mikktspace

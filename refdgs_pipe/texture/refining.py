@@ -24,9 +24,9 @@ from refdgs_pipe.artifacts.mesh import UvMesh
 from refdgs_pipe.artifacts.photos import Photo
 from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
 from refdgs_pipe.color import linear_from_srgb, srgb_from_linear, srgb_slope
+from refdgs_pipe.ray_casting import Hits, at_hits
 from refdgs_pipe.relight import Relit, offsets, rays_of
 from refdgs_pipe.texture.texels import cuts, rasterize
-from refdgs_pipe.tracing import Hits, at_hits
 
 F32 = NDArray[np.float32]
 Ints = NDArray[np.int64]

@@ -11,8 +11,8 @@ from refdgs_pipe.artifacts.surface_map import SurfaceMap
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.color import linear_from_srgb
 from refdgs_pipe.errors import MeshError
-from refdgs_pipe.received import links_of, spread
-from refdgs_pipe.tracing import Solid, at_hits
+from refdgs_pipe.irradiance import links_of, spread
+from refdgs_pipe.ray_casting import Solid, at_hits
 
 F32 = NDArray[np.float32]
 Ints = NDArray[np.int64]

@@ -10,7 +10,9 @@ from refdgs_pipe.params import Params
 class AppearanceParams(Params):
     """The fit of materials and light to what the field shows."""
 
-    metal: Literal["tell", "none"] = Field("tell", description="tell it by swinging light, or none")
+    metal: Literal["tell", "none"] = Field(
+        "tell", description="tell it by how reflections vary, or none"
+    )
     samples: int = Field(300_000, ge=1000, le=20_000_000, description="places compared, a count")
     light: int = Field(64, ge=16, le=256, multiple_of=8, description="rows of the light, in texels")
     tolerance: float = Field(0.01, gt=0, le=0.2, description="mesh to field, in ball diameters")

@@ -16,7 +16,7 @@ from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.surfel_field import SurfelField
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.errors import Cancelled, MeshError, TrainingError
-from refdgs_pipe.ops import Later, Plan
+from refdgs_pipe.ops import Plan, Readback
 from refdgs_pipe.ops.cuda_graph import Recorder
 from refdgs_pipe.ops.native import keep_freed_memory
 from refdgs_pipe.ops.plan import Asked
@@ -136,7 +136,7 @@ class Trainer:
         self.plan = None if device == "cpu" else Plan(device)
         recorder, insists = self._recorder(cuda_graph), cuda_graph is True
         self.steps = RecordedSteps(self.field, recorder, insists=insists, warn=warn)
-        self._later: Later[tuple[Moment, Asked]] = Later(device)  # loss, squared errors, needs
+        self._later: Readback[tuple[Moment, Asked]] = Readback(device)  # loss, errors, needs
 
     def _start(
         self, photos: list[TrainingPhoto], starting: Callable[[int, int], None] | None

@@ -28,7 +28,7 @@ from PIL import Image
 
 from refdgs_pipe.artifacts.placement import Placement
 from refdgs_pipe.artifacts.views import Views
-from refdgs_pipe.child import call_in_child
+from refdgs_pipe.child_process import call_in_child
 from refdgs_pipe.errors import RefdgsError
 from refdgs_pipe.geometry import robust_similarity
 from refdgs_pipe.sfm.gate import Judgement, examine

@@ -8,6 +8,7 @@ import pytest
 from refdgs_pipe.cli import console
 from refdgs_pipe.cli.console import Console, Estimate
 from refdgs_pipe.cli.logs import RunLog
+from refdgs_pipe.formatting import counted, duration, figure, size
 from refdgs_pipe.pipeline.events import (
     Damaged,
     Finished,
@@ -17,7 +18,6 @@ from refdgs_pipe.pipeline.events import (
     Started,
     Warned,
 )
-from refdgs_pipe.wording import counted, duration, figure, size
 
 
 def test_durations_and_sizes_are_said_with_the_digits_that_matter() -> None:

@@ -22,7 +22,7 @@ from stage_runs import Run
 from refdgs_pipe.artifacts.sparse_model import Ball, SparseModel
 from refdgs_pipe.artifacts.views import Exif, View, Views
 from refdgs_pipe.camera import Camera, Lens
-from refdgs_pipe.child import ChildCrashed
+from refdgs_pipe.child_process import ChildCrashed
 from refdgs_pipe.errors import Cancelled, InputError
 from refdgs_pipe.files.images import read_png
 from refdgs_pipe.masking import by_network, onnx_file

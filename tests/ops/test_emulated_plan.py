@@ -13,7 +13,7 @@ from torch import Tensor
 
 from refdgs_pipe import ops
 from refdgs_pipe.errors import ShapeError
-from refdgs_pipe.ops import Later, Pinhole, Plan, Surfels, covered_pixels, plan, rasterize
+from refdgs_pipe.ops import Pinhole, Plan, Readback, Surfels, covered_pixels, plan, rasterize
 
 Made = tuple[Surfels, Tensor]
 
@@ -150,7 +150,7 @@ def test_what_is_made_of_no_pixel_counts_for_nothing(near: bool) -> None:
 
 
 def test_numbers_are_read_some_steps_later_in_order() -> None:
-    later: Later[int] = Later("cpu", lag=2)
+    later: Readback[int] = Readback("cpu", lag=2)
     for step in range(4):
         later.send(step, torch.tensor([step]))
     assert [note for note, _ in later.arrived()] == [0, 1]

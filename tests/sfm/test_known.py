@@ -97,7 +97,7 @@ def test_a_machine_that_cannot_match_features_keeps_the_poses(
     def missing(*_: object, **__: object) -> Poses:
         raise ModuleNotFoundError("No module named 'pycolmap'")
 
-    monkeypatch.setattr("refdgs_pipe.child.call_in_child", missing)
+    monkeypatch.setattr("refdgs_pipe.child_process.call_in_child", missing)
     found = stages.sfm(views)
     assert len(found.cameras) == 12 and not len(found.points)
     assert stages.warnings == [without_points(ImportError("No module named 'pycolmap'"))]

@@ -1,6 +1,6 @@
 """Reconstructions with some of their photos."""
 
-from refdgs_pipe.child import call_in_child
+from refdgs_pipe.child_process import call_in_child
 
 
 def left_of_a_model() -> dict[str, list[str] | int]:

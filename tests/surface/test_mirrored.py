@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from refdgs_pipe.artifacts.mesh import TriangleMesh
 from refdgs_pipe.artifacts.surface_map import SurfaceMap
 from refdgs_pipe.camera import Camera
+from refdgs_pipe.ray_casting import Solid
 from refdgs_pipe.surface.flats import Mirrored, flats_of, flattened
 from refdgs_pipe.surface.mirrored import Glimpse, mirror_agreement
-from refdgs_pipe.tracing import Solid
 
 F64 = NDArray[np.float64]
 HALF = np.array([0.5, 0.4, 0.3])

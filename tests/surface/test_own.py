@@ -8,7 +8,7 @@ from finished import model
 from scenes import glossy_pair
 
 from refdgs_pipe.camera import Camera
-from refdgs_pipe.child import ChildCrashed
+from refdgs_pipe.child_process import ChildCrashed
 from refdgs_pipe.errors import MeshError
 from refdgs_pipe.surface import own
 

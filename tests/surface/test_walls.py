@@ -6,10 +6,10 @@ from solids import sphere
 
 from refdgs_pipe.artifacts.mesh import TriangleMesh
 from refdgs_pipe.camera import Camera
+from refdgs_pipe.ray_casting import Solid
 from refdgs_pipe.surface.rims import rim_of
 from refdgs_pipe.surface.silhouettes import Outline
 from refdgs_pipe.surface.walls import with_walls
-from refdgs_pipe.tracing import Solid
 
 AROUND, HEIGHT = 120, 0.05
 PIXEL = 0.02

@@ -66,7 +66,7 @@ def test_a_metal_is_told_whose_mean_the_field_calls_diffuse() -> None:
     assert np.median(found.metallic[~left]) < 0.1
 
 
-def test_what_swings_as_a_metal_but_mirrors_nothing_is_none() -> None:
+def test_what_varies_as_a_metal_but_mirrors_nothing_is_none() -> None:
     """As where the mesh lies behind the surface: its colours are those of other places."""
     samples = samples_of(Scene((SILVER, PLASTIC), gradient_sky), two_balls())
     alone = replace(samples, near_face=np.full_like(samples.near_face, -1))

@@ -12,7 +12,7 @@ from emulation import emulated
 from torch import Tensor
 from training.test_trainer import SMALL, capture, quiet
 
-from refdgs_pipe.ops import Later, Plan, cuda
+from refdgs_pipe.ops import Plan, Readback, cuda
 from refdgs_pipe.ops import plan as planning
 from refdgs_pipe.ops.gpu import rasterize as drawing
 from refdgs_pipe.ops.gpu import shade as shading
@@ -47,7 +47,7 @@ def numberless_gpu() -> Iterator[None]:
         patch.setattr(cuda, "check_gpu", lambda name, tensor: None)
         patch.setattr(drawing, "_entries", lambda *arguments: 300)
         patch.setattr(shading, "_count", lambda *arguments: 70)
-        patch.setattr(Later, "send", lambda *arguments: None)
+        patch.setattr(Readback, "send", lambda *arguments: None)
         adam = torch.optim.Adam
         patch.setattr(torch.optim, "Adam", lambda *a, **k: adam(*a, **{**k, "fused": False}))
         with using("gpu"):
@@ -118,7 +118,7 @@ def trained(folder: Path, plan: Plan | None, steps: int, **changed: Any) -> Trai
     params = SMALL.model_copy(update={**few, "reflect_from": 0.0, "local_from": 0.3, **changed})
     trainer = Trainer(views, model, params, folder)
     if plan is not None:
-        trainer.plan, trainer._later = plan, Later("cpu", lag=2)
+        trainer.plan, trainer._later = plan, Readback("cpu", lag=2)
     with emulated():
         for _ in range(steps):
             trainer.step()

@@ -12,7 +12,7 @@ from torch import Tensor
 from training.test_trainer import SMALL, capture
 
 from refdgs_pipe.errors import TrainingError
-from refdgs_pipe.ops import Later, Plan, addresses
+from refdgs_pipe.ops import Plan, Readback, addresses
 from refdgs_pipe.ops import plan as planning
 from refdgs_pipe.training import recorded, step, surfels
 from refdgs_pipe.training.recorded import RecordedSteps
@@ -86,7 +86,7 @@ def trained(
     views, model = capture(folder / "views", size=20, masked=masked)
     params = SMALL.model_copy(update={**SHORT, **settings})
     trainer, warnings = Trainer(views, model, params, folder), list[str]()
-    trainer.plan, trainer._later = Plan("cpu"), Later("cpu", lag=2)
+    trainer.plan, trainer._later = Plan("cpu"), Readback("cpu", lag=2)
     made = None if tape is None else tape(trainer)
     trainer.steps = RecordedSteps(trainer.field, made, insists=insists, warn=warnings.append)
     if change is not None:

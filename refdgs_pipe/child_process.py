@@ -87,7 +87,7 @@ def call_in_child(
 def _start(fds: tuple[int, int, int], log: IO[bytes]) -> subprocess.Popen[bytes]:
     """Start the interpreter. It sees our import path, and Ctrl-C reaches only us."""
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
-    code = "from refdgs_pipe.child import _serve; _serve()"
+    code = "from refdgs_pipe.child_process import _serve; _serve()"
     return subprocess.Popen(
         [sys.executable, "-P", "-c", code, *map(str, fds), str(os.getpid())],
         stdin=subprocess.DEVNULL,

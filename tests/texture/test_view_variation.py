@@ -1,4 +1,4 @@
-"""Roughness and metal are told from how reflections swing, whatever the normals."""
+"""Roughness and metal are estimated from how reflections vary, whatever the normals."""
 
 from dataclasses import replace
 
@@ -7,11 +7,11 @@ import pytest
 from scenes import gradient_sky
 from solids import sphere
 
+from refdgs_pipe.irradiance import links_of
 from refdgs_pipe.light import DIELECTRIC, Environment, reflected_share, texel_directions
-from refdgs_pipe.received import links_of
 from refdgs_pipe.texture.fitting import _corner_matrix
 from refdgs_pipe.texture.sampling import Samples, seen_roughness
-from refdgs_pipe.texture.swing import Swing
+from refdgs_pipe.texture.view_variation import ViewVariation
 
 HEIGHT = 32
 BALL = sphere(8)
@@ -25,7 +25,7 @@ def windows() -> np.ndarray:
     return sky.astype(np.float32)
 
 
-def swing(roughness: float, f0: float, footprint: float = 0.0) -> Swing:
+def variation(roughness: float, f0: float, footprint: float = 0.0) -> ViewVariation:
     """Samples of a ball whose normals are all wrong: any place mirrors any direction."""
     random = np.random.default_rng(1)
     count = PER_FACE * len(BALL.faces)
@@ -55,7 +55,7 @@ def swing(roughness: float, f0: float, footprint: float = 0.0) -> Swing:
         np.full(count, footprint, np.float32),
     )
     corners = _corner_matrix(BALL, face, weights)
-    return Swing(samples, corners, np.zeros((count, 3), np.float32), links_of(BALL.faces))
+    return ViewVariation(samples, corners, np.zeros((count, 3), np.float32), links_of(BALL.faces))
 
 
 def plastic() -> tuple[Environment, np.ndarray, np.ndarray]:
@@ -69,20 +69,20 @@ def plastic() -> tuple[Environment, np.ndarray, np.ndarray]:
 def test_roughness_is_told_with_normals_that_are_all_wrong(
     roughness: float, footprint: float
 ) -> None:
-    told = swing(roughness, DIELECTRIC, footprint).roughness(*plastic())
+    told = variation(roughness, DIELECTRIC, footprint).roughness(*plastic())
     assert abs(np.median(told) - roughness) < 0.03
 
 
 @pytest.mark.parametrize("f0", [0.04, 0.5, 0.9])
 def test_reflectance_is_told_with_normals_that_are_all_wrong(f0: float) -> None:
     rough = np.full(len(BALL.vertices), 0.2, np.float32)
-    told = swing(0.2, f0).reflectance(Environment(windows()), rough)
+    told = variation(0.2, f0).reflectance(Environment(windows()), rough)
     assert abs(np.median(told) / f0 - 1) < 0.3
 
 
 def test_lamps_that_photos_clip_make_no_plastic_of_a_metal() -> None:
     """The light found may be brighter than any photo can show; only what is shown is compared."""
-    metal = swing(0.1, 0.9)
+    metal = variation(0.1, 0.9)
     photos = replace(metal.samples, specular=np.minimum(metal.samples.specular, 1))
     found = np.where(windows() > 1, 3 * windows(), windows())
     rough = np.full(len(BALL.vertices), 0.1, np.float32)
@@ -90,7 +90,7 @@ def test_lamps_that_photos_clip_make_no_plastic_of_a_metal() -> None:
     assert np.median(told) > 0.5
 
 
-def photographed(field: Swing, photo: Swing, noise: float = 0.0) -> Swing:
+def photographed(field: ViewVariation, photo: ViewVariation, noise: float = 0.0) -> ViewVariation:
     """What one shows in its field and the other in its photos, with noise added."""
     shown = photo.samples.photo + noise * np.random.default_rng(2).normal(size=(len(photo.near), 1))
     samples = replace(field.samples, photo=np.clip(shown, 0, 1).astype(np.float32))
@@ -100,19 +100,19 @@ def photographed(field: Swing, photo: Swing, noise: float = 0.0) -> Swing:
 @pytest.mark.parametrize("metal", [0, 1])
 def test_roughness_is_told_from_photos_which_are_sharper_than_the_field(metal: int) -> None:
     f0 = (DIELECTRIC, 0.1)[metal]
-    both = photographed(swing(0.35, f0), swing(0.2, f0))
+    both = photographed(variation(0.35, f0), variation(0.2, f0))
     light, flat, tint = plastic()
     told = both.roughness(light, flat + np.float32(metal), np.full_like(tint, f0))
     assert abs(np.median(told) - 0.2) < 0.03
 
 
-def test_print_that_swings_in_photos_alone_makes_nothing_glossy() -> None:
-    both = photographed(swing(0.7, DIELECTRIC), swing(0.7, DIELECTRIC), noise=0.1)
+def test_print_that_varies_in_photos_alone_makes_nothing_glossy() -> None:
+    both = photographed(variation(0.7, DIELECTRIC), variation(0.7, DIELECTRIC), noise=0.1)
     assert abs(np.median(both.roughness(*plastic())) - 0.7) < 0.1
 
 
 def test_what_mirrors_no_light_from_afar_is_told_by_its_neighbours_or_taken_for_glossy() -> None:
-    plain = swing(0.5, DIELECTRIC)
+    plain = variation(0.5, DIELECTRIC)
     lower = BALL.vertices[BALL.faces].mean(1)[plain.samples.face, 2] < 0
     for hidden, told in ((lower, 0.5), (np.ones_like(lower), 0.16)):
         near = np.where(hidden, 0, plain.samples.near_face)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from refdgs_pipe.light import Environment
-from refdgs_pipe.tracing import Solid, cosine_rays
+from refdgs_pipe.ray_casting import Solid, cosine_rays
 
 F32 = NDArray[np.float32]
 Ints = NDArray[np.int64]

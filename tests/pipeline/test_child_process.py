@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from refdgs_pipe.child import ChildCrashed, ChildTimeout, call_in_child
+from refdgs_pipe.child_process import ChildCrashed, ChildTimeout, call_in_child
 from refdgs_pipe.errors import Cancelled, MeshError
 
 HERE = Path(__file__).parent
@@ -99,7 +99,7 @@ def test_a_foreign_error_becomes_a_runtime_error_with_its_name() -> None:
 @pytest.mark.skipif(sys.platform != "linux", reason="the kernel's parent-death signal is Linux's")
 def test_the_child_dies_with_a_killed_parent() -> None:
     code = (
-        "import os; from refdgs_pipe.child import call_in_child\n"
+        "import os; from refdgs_pipe.child_process import call_in_child\n"
         f"call_in_child('{TARGETS}:sleep', {{'seconds': 60}},"
         " on_progress=lambda label, done, total: print(label, flush=True))"
     )

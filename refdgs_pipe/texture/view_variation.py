@@ -1,4 +1,4 @@
-"""Metal and roughness, told by how much a place's reflections swing from view to view.
+"""Metal and roughness, estimated from how much a place's reflections vary from view to view.
 
 A surface sends light * reflectance, so that over the views of one place the deviation of what it
 mirrors is that of the light it mirrors, blurred, times its reflectance. This asks for no correct
@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from refdgs_pipe.irradiance import spread
 from refdgs_pipe.light import DIELECTRIC, Environment, reflected_share
-from refdgs_pipe.received import spread
 from refdgs_pipe.texture.sampling import Samples, seen_roughness
 
 F32 = NDArray[np.float32]
@@ -22,16 +22,16 @@ Ints = NDArray[np.int64]
 _FAINT = 0.06  # light that varies less than this, linear, tells little about what mirrors it
 _SMOOTHING = 4  # rounds, for metal
 _WIDELY = 16  # rounds, for roughness: places that mirror little contrast ask those that mirror more
-_UNTOLD = 0.05  # swing less by so much, in logarithms, is not told from the sharpest
+_UNTOLD = 0.05  # a deviation this much smaller, in logarithms, counts as that of the sharpest
 _TELLING = 0.04  # so large a difference, in logarithms, tells as much as what is assumed
-_IS_NOISE, _IS_SWING = 0.2, 0.5  # the field's swing, as shares of the photos'
+_IS_NOISE, _IS_SEEN = 0.2, 0.5  # the field's deviation, as shares of the photos'
 _GRID = (0.1, 0.13, 0.16, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7, 1.0)
 _GLOSSY = 2  # of the grid: what polished and glazed things have, assumed where nothing tells
 _REFLECTANCES = (0.02, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7, 1.0, 1.4)
 
 
 @dataclass(frozen=True)
-class Swing:
+class ViewVariation:
     """Deviations over the samples (N) around each vertex (V) of a mesh.
 
     Args:
@@ -47,10 +47,10 @@ class Swing:
     links: Ints
 
     def reflectance(self, light: Environment, roughness: F32) -> F32:
-        """(V,) the reflectance with which a vertex's reflections swing as they are seen to do.
+        """(V,) the reflectance with which a vertex's reflections vary as they are seen to do.
 
-        Compared as photos show them, clipped at white: what is brighter swings without end in the
-        light that was found, and not in what was seen.
+        Compared as photos show them, clipped at white: what is brighter varies without limit in the
+        light that was found, but not in what was seen.
 
         Args:
             roughness: (V,) as far as it is known.
@@ -65,10 +65,10 @@ class Swing:
         return _crossing(np.asarray(_REFLECTANCES, np.float32), excess)
 
     def roughness(self, light: Environment, metallic: F32, tint: F32) -> F32:
-        """(V,) the roughness with which a vertex's reflections swing as they are seen to do.
+        """(V,) the roughness with which a vertex's reflections vary as they are seen to do.
 
         Photos are asked, which are sharper than the field: what they show more than its diffuse
-        radiance. Where they swing several times as much as it does, that is a texture seen through
+        radiance. Where they vary several times as much as it does, that is a texture seen through
         a wrong mesh, and the field is asked. All that a metal sends is mirrored. Where roughness
         hardly changes what is shown, or nothing is mirrored from afar, glossy is assumed.
 
@@ -96,12 +96,12 @@ class Swing:
         return np.asarray(_GRID[_GLOSSY] + trust * (found - _GRID[_GLOSSY]), np.float32)
 
     def _seen(self, around: "_Around", metallic: F32) -> F32:
-        """(V,) how much what is mirrored swings, as the field and the photos show it."""
+        """(V,) how much what is mirrored varies, as the field and the photos show it."""
         beyond = np.clip(self.samples.photo - self.samples.diffuse, 0, 1)
         field = np.maximum(around.deviation(np.clip(self.samples.specular, 0, 1)), 1e-5)
         photo = np.maximum(around.deviation(beyond), 1e-5)
         share = np.asarray(field / photo, np.float32)
-        trust = np.maximum(smooth_step(share, _IS_NOISE, _IS_SWING), metallic)
+        trust = np.maximum(smooth_step(share, _IS_NOISE, _IS_SEEN), metallic)
         return np.asarray(field * (photo / field) ** trust, np.float32)
 
     def _mirrored(self, light: Environment, rough: F32) -> F32:
@@ -131,11 +131,11 @@ class _Around:
     def deviation(self, values: F32) -> F32:
         """(V,) standard deviation of values (N, C) over the samples at one vertex.
 
-        Variances are averaged over the neighbours, so that what swings most counts most.
+        Variances are averaged over the neighbours, so that what varies most counts most.
         """
         weight, first, second = (self._summed(v) for v in (_ONE, values, values * values))
-        swing = np.maximum(second - first * first / np.maximum(weight, 1e-6), 0)
-        both = self._widely(np.concatenate([swing.mean(1, keepdims=True), weight], 1))
+        variance = np.maximum(second - first * first / np.maximum(weight, 1e-6), 0)
+        both = self._widely(np.concatenate([variance.mean(1, keepdims=True), weight], 1))
         return np.asarray(np.sqrt(both[:, 0] / np.maximum(both[:, 1], 1e-6)), np.float32)
 
     def _summed(self, values: F32) -> F32:
