@@ -1,4 +1,4 @@
-// The constants of alpha blending, shared by every device and by ops/reference.py.
+// The constants of alpha blending, shared by every device and by ops/definition/rasterize.py.
 #pragma once
 
 namespace refdgs {

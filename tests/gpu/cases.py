@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
-from refdgs_pipe.ops import Pinhole, Surfels, reference
+from refdgs_pipe.ops import Pinhole, Surfels, rotation_matrices
 
 Made = tuple[Surfels, Tensor]
 
@@ -26,9 +26,7 @@ class Case:
 def camera(width: int, height: int) -> Pinhole:
     """A turned camera three units from the origin."""
     pose = torch.eye(4, dtype=torch.float64)
-    pose[:3, :3] = reference.rotation_matrices(
-        torch.tensor([[0.9, 0.2, -0.3, 0.1]], dtype=torch.float64)
-    )[0]
+    pose[:3, :3] = rotation_matrices(torch.tensor([[0.9, 0.2, -0.3, 0.1]], dtype=torch.float64))[0]
     pose[:3, 3] = torch.tensor([0.1, -0.2, 3.0])
     focal = 1.1 * max(width, height)
     # numbers that float32 holds exactly, so that every device is given the same camera
