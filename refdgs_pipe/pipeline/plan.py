@@ -62,6 +62,11 @@ class Pipeline:
         names = " ".join(stage.name for stage in self.stages)
         raise InputError(f"no stage is called {name!r}. There are: {names}")
 
+    @property
+    def names(self) -> list[str]:
+        """The stages' names, in order."""
+        return [stage.name for stage in self.stages]
+
     def needed_for(self, name: str | None) -> list[Stage]:
         """A stage and all that it builds on, in order. None: every stage."""
         if name is None:
@@ -148,6 +153,7 @@ class Pipeline:
         if not file.exists():
             raise InputError(f"{file}: no such file")
         with self.store.lock():
+            self.store.sweep(self.names)
             step = next(s for s in self.status(source, settings) if s.stage is stage)
             if step.origin is None:
                 raise InputError(f"{name} {step.reason}. Make that first, with `run`")
@@ -170,11 +176,12 @@ class Pipeline:
         wanted = [step.origin for step in self.status(source, settings)]
         last = [self.store.current(stage.name) for stage in self.stages]
         used = [manifest.origin for manifest in last if manifest]
-        return self.store.unused([*used, *(origin for origin in wanted if origin)])
+        return self.store.unused([*used, *(origin for origin in wanted if origin)], self.names)
 
     def clean(self, source: Fingerprint, settings: Settings) -> list[Path]:
         """Delete what is `unused`, and return it."""
         with self.store.lock(), disk_errors(self.store.root):
+            self.store.sweep(self.names)
             unused = self.unused(source, settings)
             for path in unused:
                 remove(path)
