@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+import re
 import stat
 import tomllib
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any
 
 MAX_JSON = 256_000_000  # bytes
 MAX_TOML = 200_000  # characters; a recipe with every setting has some 40 000
+_UNSEEN = re.compile("[\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ufeff\ud800-\udfff]")
 _MAX_LINE = 10_000  # characters
 # tomllib needs the square of the parts of a dotted key: at most so many marks in a line
 _MAX_DOTS = 64
@@ -55,9 +57,12 @@ def parse_json(text: str) -> Any:
 
 
 def write_json_text(record: Any, *, indent: int | None = 1) -> str:
-    r"""JSON with its letters as they are; bytes that are no UTF-8 stay \udcff and come back."""
+    r"""JSON with its letters as they are; what no terminal should get, as \u codes that come back.
+
+    Bytes that are no UTF-8, as Python has them in file names, stay \udcff.
+    """
     text = json.dumps(record, indent=indent, ensure_ascii=False, default=str)
-    return text.encode("utf-8", "backslashreplace").decode("utf-8")
+    return _UNSEEN.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
 
 
 def parse_toml(text: str) -> dict[str, Any]:

@@ -6,6 +6,7 @@ each stage that it changes.
 """
 
 import difflib
+import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
@@ -140,6 +141,15 @@ def describe(settings: Mapping[str, Params], *, only: Recipe | None = None) -> s
             lines.append(f"# {meaning(info)}")
             lines.append(f"# {key} =" if text is None else f"{key} = {text}")
     return "\n".join(lines).strip() + "\n"
+
+
+def as_toml(recipe: Recipe) -> str:
+    """A recipe with all that it builds on, as one TOML file that says the same."""
+    lines = [f"# {recipe.about}"] if recipe.about else []
+    lines.append(f"draft = {_toml(recipe.draft)}")
+    for stage, table in recipe.tables.items():
+        lines += ["", f"[{stage}]", *(f"{key} = {_toml(value)}" for key, value in table.items())]
+    return "\n".join(lines) + "\n"
 
 
 def meaning(info: FieldInfo) -> str:
@@ -285,7 +295,7 @@ def _toml(value: Any) -> str | None:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):
-        return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, Mapping):
         items = ((key, _toml(item)) for key, item in value.items())
         return "{ " + ", ".join(f"{key} = {item}" for key, item in items if item) + " }"

@@ -17,7 +17,7 @@ from refdgs_pipe.pipeline.events import (
     Started,
     Warned,
 )
-from refdgs_pipe.wording import duration, figure
+from refdgs_pipe.wording import duration, figure, printable_lines
 
 WINDOW_S = 30.0  # how far back the speed of a stage is measured
 FIRST_LINE_S, LINE_S = 10.0, 30.0  # plain progress lines: the first, then one every so often
@@ -111,6 +111,7 @@ class Console:
         """Print a line above the bar."""
         if self.verbosity < level:
             return
+        text = printable_lines(text)
         if self._bar is not None:
             self._bar.console.print(text, markup=False, highlight=False, soft_wrap=True)
         else:

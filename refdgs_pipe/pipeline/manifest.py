@@ -20,7 +20,7 @@ MANIFEST = "manifest.json"
 SCHEMA = 1  # raised when the layout of results changes
 KEY = re.compile(r"[0-9a-f]{16}")
 _LIMIT = 64_000_000  # bytes of a manifest
-_MISSING = (FileNotFoundError, NotADirectoryError)
+MISSING = (FileNotFoundError, NotADirectoryError)
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class Manifest:
                 raise ValueError("its folder is a link. A workspace holds no links")
             record = parse_json(read_text(path, limit=_LIMIT, follow=False))
             return cls._checked(record, folder)
-        except (ValueError, TypeError, KeyError, AttributeError, *_MISSING) as error:
+        except (ValueError, TypeError, KeyError, AttributeError, *MISSING) as error:
             raise CorruptError(f"{path}: not readable ({printable(error)})") from None
 
     @classmethod
@@ -143,7 +143,7 @@ def check_sizes(folder: Path, manifest: Manifest) -> None:
     for name, (size, _) in manifest.files.items():
         try:
             found = os.lstat(folder / name)
-        except _MISSING:
+        except MISSING:
             raise CorruptError(f"{folder / name}: missing") from None
         if not stat.S_ISREG(found.st_mode):
             raise CorruptError(f"{folder / name}: is a link, or no regular file")

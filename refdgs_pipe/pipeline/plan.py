@@ -89,12 +89,16 @@ class Pipeline:
         """Hash the source; files with unchanged size and times are not read again."""
         return fingerprint(source.files(), self.store.root / SOURCE_MEMORY)
 
+    def forget_source(self) -> None:
+        """Read every file of the source anew the next time."""
+        (self.store.root / SOURCE_MEMORY).unlink(missing_ok=True)
+
     def last_fingerprint(self) -> Fingerprint | None:
         """The source as the last run saw it, for when it is not there any more."""
         last = self.store.current(self.stages[0].name)
         if last is None:
             return None
-        (digest,) = last.origin.inputs.values()
+        digest = next(iter(last.origin.inputs.values()), "")
         return Fingerprint(digest, last.source_files)
 
     def status(self, source: Fingerprint, settings: Settings) -> list[Step]:

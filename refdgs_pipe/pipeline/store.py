@@ -30,6 +30,7 @@ from refdgs_pipe.pipeline.lock import locked
 from refdgs_pipe.pipeline.manifest import (
     KEY,
     MANIFEST,
+    MISSING,
     Manifest,
     Origin,
     Record,
@@ -105,7 +106,7 @@ class Store:
 
     def current(self, stage: str) -> Manifest | None:
         """The result of a stage that the last run used, whatever its origin; damaged ones aside."""
-        with suppress(FileNotFoundError, ValueError, CorruptError):
+        with suppress(*MISSING, ValueError, CorruptError):
             key = self._note(stage, CURRENT).strip()
             if KEY.fullmatch(key):
                 return Manifest.read(self.root / stage / key)
@@ -172,16 +173,20 @@ class Store:
 
     def set_aside(self, origin: Origin) -> Path:
         """Move a damaged result out of the way, for the user to look at. Return where it went."""
-        folder = self.folder(origin)
-        aside = folder.with_name(f".damaged-{origin.key}")
+        return self.put_aside(self.folder(origin))
+
+    def put_aside(self, folder: Path) -> Path:
+        """`set_aside`, of a result whose record may not even be readable."""
+        aside = folder.with_name(f".damaged-{folder.name}")
         with disk_errors(self.root):
             remove(aside)
             folder.rename(aside)
+        self._sound.pop(folder, None)
         return aside
 
     def adoption(self, origin: Origin) -> Origin:
         """The origin that stands in for this one: a user's own file, or itself."""
-        with suppress(FileNotFoundError, ValueError, KeyError, TypeError):
+        with suppress(*MISSING, ValueError, KeyError, TypeError):
             note = parse_json(self._note(origin.stage, ADOPTED))
             if note["key"] == origin.key:
                 return replace(origin, adopted=str(note["digest"]))
@@ -219,7 +224,7 @@ class Store:
         known: dict[str, str] = {}
         with disk_errors(self.root):
             rescue(target)
-            with suppress(FileNotFoundError, ValueError, TypeError, KeyError, CorruptError):
+            with suppress(*MISSING, ValueError, TypeError, KeyError, CorruptError):
                 last = parse_json(read_text(memory, follow=False))
                 known = dict(last.pop("files", {}))
                 if last == identity:

@@ -1,7 +1,7 @@
 """What a workspace holds, as the report needs it: each stage's result, and what the logs say."""
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -85,6 +85,7 @@ class Facts:
         changed: the `stage.key=value` that differ from the recipe.
         settings: stage -> setting -> value.
         draft: whether the recipe is meant for a first look.
+        check: raises CorruptError for a result whose files are not as they were written.
     """
 
     title: str
@@ -95,6 +96,7 @@ class Facts:
     notes: Notes
     private: tuple[str, ...] = field(default=(), repr=False)
     draft: bool = False
+    check: Callable[[Manifest], Path] | None = field(default=None, repr=False)
 
     def result(self, kind: type[Artifact]) -> Result | None:
         """The result of the stage that makes this kind, or None if it never ran."""
@@ -113,11 +115,12 @@ class Facts:
 
         Raises:
             InputError: there is none.
+            CorruptError: it is damaged.
         """
         result = self.result(kind)
-        if result is None or result.folder is None:
+        if result is None or result.folder is None or result.manifest is None:
             raise InputError(f"no stage has made its {kind.__name__} yet")
-        return result.folder
+        return self.check(result.manifest) if self.check else result.folder
 
     def load(self, kind: type[T]) -> T:
         """The artifact of this kind, read from disk once.
@@ -177,6 +180,7 @@ def collect(
         results=tuple(results),
         notes=read_notes(store.root / "logs", results),
         private=tuple(places),
+        check=store.check,
         **about,
     )
 
