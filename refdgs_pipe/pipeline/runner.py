@@ -20,7 +20,7 @@ from refdgs_pipe.pipeline.events import (
 )
 from refdgs_pipe.pipeline.plan import Pipeline, Settings, Step
 from refdgs_pipe.pipeline.stage import Artifact, Job, Source, Stage
-from refdgs_pipe.pipeline.store import Manifest, Origin, Record
+from refdgs_pipe.pipeline.store import Manifest, Origin, Record, load
 
 
 @dataclass(frozen=True)
@@ -91,6 +91,7 @@ class _Run:
         self.done: dict[type, Step] = {}
         self.to_force = set(request.force)
         self.reported: set[str] = set()  # stages that the listeners have heard of
+        self.again: set[str] = set()  # keys of results that were set aside
         self.damages: dict[str, str] = {}  # stage -> what was wrong with its result
         self.device: str | None = None
 
@@ -119,6 +120,9 @@ class _Run:
 
     def set_aside(self, damage: _DamagedResult) -> None:
         """Move a damaged result out of the way, so that it is made again."""
+        if damage.origin.key in self.again:  # made anew and still not readable: a bug of the stage
+            raise CorruptError(f"{damage.origin.stage}: {damage}, though it was made again")
+        self.again.add(damage.origin.key)
         aside = self.store.set_aside(damage.origin)
         self.damages[damage.origin.stage] = f"damaged: {damage}"
         self.reported.discard(damage.origin.stage)
@@ -174,7 +178,7 @@ class _Run:
             step = self.done[kind]
             assert step.origin is not None and step.manifest is not None
             try:
-                inputs[name] = kind.load(self.store.check(step.manifest))
+                inputs[name] = load(kind, self.store.check(step.manifest))
             except CorruptError as error:
                 raise _DamagedResult(step.origin, str(error)) from None
         return inputs

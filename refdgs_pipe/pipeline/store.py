@@ -11,9 +11,10 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from os import stat_result
 from pathlib import Path
+from typing import TypeVar
 
 from refdgs_pipe.documents import parse_json, read_text
-from refdgs_pipe.errors import CorruptError, InputError
+from refdgs_pipe.errors import CorruptError, InputError, RefdgsError
 from refdgs_pipe.pipeline import leftovers
 from refdgs_pipe.pipeline.atomic import (
     disk_errors,
@@ -39,6 +40,11 @@ from refdgs_pipe.pipeline.manifest import (
     digest_of,
     visible,
 )
+from refdgs_pipe.pipeline.stage import Artifact
+from refdgs_pipe.trouble import raise_if_machine
+from refdgs_pipe.wording import printable
+
+T = TypeVar("T", bound=Artifact)
 
 __all__ = ["MANIFEST", "Manifest", "Origin", "Record", "Store", "check_contents", "check_sizes"]
 
@@ -290,6 +296,23 @@ class Store:
 
     def _scratch(self, origin: Origin) -> Path:
         return self.folder(origin).with_name(f".scratch-{origin.key}")
+
+
+def load(kind: type[T], folder: Path) -> T:
+    """Read an artifact. However its files were made, what cannot be read is damaged.
+
+    Raises:
+        CorruptError: it is damaged.
+        OutOfMemory, DiskFault: the machine fails.
+    """
+    try:
+        return kind.load(folder)
+    except RefdgsError:
+        raise
+    except Exception as error:
+        raise_if_machine(error)
+        words = printable(f"{type(error).__name__}: {error}")
+        raise CorruptError(f"{folder}: cannot be read ({words})") from error
 
 
 def _is_odd(path: Path) -> bool:

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 from refdgs_pipe.errors import InputError, RefdgsError
 from refdgs_pipe.pipeline.plan import Step
 from refdgs_pipe.pipeline.stage import Artifact
-from refdgs_pipe.pipeline.store import Manifest, Store
+from refdgs_pipe.pipeline.store import Manifest, Store, load
 
 T = TypeVar("T", bound=Artifact)
 
@@ -130,7 +130,7 @@ class Facts:
             CorruptError: it is damaged.
         """
         if kind not in self._loaded:
-            self._loaded[kind] = kind.load(self.folder(kind))
+            self._loaded[kind] = load(kind, self.folder(kind))
         found: T = self._loaded[kind]
         return found
 
