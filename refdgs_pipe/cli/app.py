@@ -47,6 +47,7 @@ CudaGraph = Annotated[
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="only warnings and errors")]
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="every measured figure too")]
 Strict = Annotated[bool, typer.Option("--strict", help="exit with 3 on warnings or a poor verdict")]
+Verify = Annotated[bool, typer.Option("--verify", help="first compare every file with its record")]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="only say what would be done")]
 
 
@@ -89,9 +90,7 @@ def run_command(
         typer.Option("--mask-model", help="masks by your own network, ONNX", metavar="FILE"),
     ] = None,
     dry_run: DryRun = False,
-    verify: Annotated[
-        bool, typer.Option("--verify", help="first compare every file with its record")
-    ] = False,
+    verify: Verify = False,
     device: Device = "auto",
     vram: Vram = "",
     cuda_graph: CudaGraph = None,

@@ -12,7 +12,7 @@ from refdgs_pipe.pipeline.atomic import disk_errors, remove
 from refdgs_pipe.pipeline.fingerprint import Fingerprint, fingerprint, hash_path
 from refdgs_pipe.pipeline.reasons import why
 from refdgs_pipe.pipeline.stage import Source, Stage
-from refdgs_pipe.pipeline.store import Manifest, Origin, Record, Store
+from refdgs_pipe.pipeline.store import Manifest, Origin, Record, Store, load
 
 Settings: TypeAlias = Mapping[str, Params]  # stage name -> parameters
 State: TypeAlias = Literal["up to date", "adopted", "missing", "stale", "damaged", "waiting"]
@@ -163,6 +163,9 @@ class Pipeline:
                 raise InputError(f"{name} {step.reason}. Make that first, with `run`")
             origin = replace(step.origin, adopted=hash_path(file))
             artifact = read(file)
+            own = self.store.current(name)
+            if own is not None and (check := getattr(artifact, "placed_like", None)):
+                check(load(stage.output, self.store.check(own)))
             with disk_errors(self.store.root):
                 folder = self.store.partial(origin)
                 artifact.save(folder)
