@@ -1,6 +1,9 @@
 """Names of files that come out of files: they must stay below the folder that they belong to."""
 
-from pathlib import Path, PurePosixPath
+import os
+from pathlib import Path
+
+_LONGEST = 240  # bytes; file systems take 255, and suffixes are added
 
 
 def fault_of(name: object) -> str | None:
@@ -18,20 +21,12 @@ def fault_of(name: object) -> str | None:
         return "it is an absolute path"
     if ".." in plain.split("/"):
         return "it leads outside (..)"
-    return None
-
-
-def link_in(folder: Path, name: str) -> str | None:
-    """The first part of a name below a folder that is a link there; None if none is.
-
-    Raises:
-        OSError: a part cannot be looked at, other than because it is missing.
-    """
-    place = folder
-    for part in PurePosixPath(name).parts:
-        place = place / part
-        if place.is_symlink():
-            return place.relative_to(folder).as_posix()
+    try:
+        parts = [os.fsencode(part) for part in plain.split("/")]
+    except UnicodeEncodeError:
+        return "it is not text"
+    if len(plain) > 1000 or any(len(part) > _LONGEST for part in parts):
+        return "it is too long"
     return None
 
 

@@ -18,7 +18,16 @@ from refdgs_pipe.errors import CaptureError, CorruptError, InputError
 from refdgs_pipe.files.archive import check_zip
 from refdgs_pipe.names import fault_of
 
-OUT = ("../secret.png", "a/../../secret.png", "/etc/hostname", "a\0b.png", "C:/secret.png", "..\\x")
+OUT = (
+    "../secret.png",
+    "a/../../secret.png",
+    "/etc/hostname",
+    "a\0b.png",
+    "C:/secret.png",
+    "..\\x",
+    "\ud800.png",
+    "a" * 300,
+)
 
 
 @pytest.fixture

@@ -264,6 +264,8 @@ def _read_text(folder: Path) -> ColmapModel:
     rows: list[tuple[Any, ...]] = []
     for line in filter(None, _lines(folder / "points3D.txt")):
         point_id, *rest = line.split()[:8]
+        if len(rest) != 7:
+            raise ValueError(f"point {point_id}: {len(rest)} numbers, 7 expected")
         rows.append((_index(int(point_id), "point id"), *map(float, rest)))
     return _model(cameras, images, rows)
 
