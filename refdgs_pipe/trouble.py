@@ -33,7 +33,8 @@ _LIMITS = {
 # what libraries that have no error of their own for it say
 _MEMORY_WORDS = re.compile(
     r"out of memory|not enough memory|cannot allocate memory|failed to allocate|bad_alloc"
-    r"|insufficient memory|unsufficient memory|unable to allocate|can't allocate memory",
+    r"|insufficient memory|unsufficient memory|unable to allocate|can't allocate memory"
+    r"|failed to map segment",
     re.IGNORECASE,
 )
 _MEMORY_ADVICE = (

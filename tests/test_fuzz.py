@@ -7,6 +7,7 @@ from pathlib import Path
 import fuzz
 import numpy as np
 import pytest
+from PIL.PngImagePlugin import PngImageFile
 
 from refdgs_pipe import recipe
 from refdgs_pipe.artifacts.mesh import Mesh
@@ -109,8 +110,14 @@ def bomb(width: int, height: int) -> bytes:
     return b"\x89PNG\r\n\x1a\n" + parts
 
 
-def test_a_picture_that_packs_as_no_photo_does_is_refused_undecoded(tmp_path: Path) -> None:
+def test_a_picture_that_packs_as_no_photo_does_is_refused_undecoded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(image: PngImageFile) -> None:
+        raise AssertionError("it was decoded")
+
     path = tmp_path / "a.png"
     path.write_bytes(bomb(10_000, 6_000))
+    monkeypatch.setattr(PngImageFile, "load", refuse)
     with pytest.raises(CaptureError, match="cannot be a photo of this size"):
         read_photo(path)

@@ -97,6 +97,8 @@ def _check(path: Path, info: zipfile.ZipInfo) -> None:
     name = info.filename
     if "\0" in info.orig_filename or "\0" in name:
         raise _refused(path, f"{info.orig_filename} has a NUL in its name. Pack the folder again")
+    if not name:
+        raise _refused(path, "a file without a name is in it. Pack the folder again")
     plain = name.replace("\\", "/")
     if plain.startswith("/") or (len(plain) > 1 and plain[1] == ":"):
         raise _refused(path, f"{name} has an absolute path. Pack the folder again")

@@ -61,7 +61,9 @@ def read_header(path: Path) -> Header:
             return _header(path, kind, *heif_size(path), 1)  # libheif turns it
         with _quiet(), _open(path, kind) as image:
             width, height = image.size
-            orientation = int(image.getexif().get(0x0112, 1))
+            # Pillow decodes a whole PNG to find EXIF behind the pixels
+            is_odd = _packs_oddly(width, height, path.stat().st_size)
+            orientation = 1 if is_odd else int(image.getexif().get(0x0112, 1))
             if kind == "tiff":  # Pillow turns TIFFs, and only these, by itself
                 width, height = (int(image.getexif()[tag]) for tag in (0x0100, 0x0101))
     except _DAMAGE as error:
@@ -99,7 +101,7 @@ def read_photo(
     if header.format == "jpeg" and data.rfind(b"\xff\xd9") < len(data) // 2:
         raise CaptureError(_named(path, "the JPEG ends early. Copy it again from the card"))
     is_large = header.width * header.height > LARGE
-    if is_large and not is_mask and 3 * header.width * header.height > _MAX_PACKED * len(data):
+    if not is_mask and _packs_oddly(header.width, header.height, len(data)):
         raise CaptureError(_named(path, f"{len(data)} bytes cannot be a photo of this size"))
     try:
         with _alone if is_large else nullcontext():
@@ -114,6 +116,11 @@ def read_photo(
         raise_if_machine(error)
         raise CaptureError(_named(path, f"{error}. Copy it again from the card")) from None
     return orient(pixels, header.orientation) if upright else pixels
+
+
+def _packs_oddly(width: int, height: int, size: int) -> bool:
+    """Whether a large picture has fewer bytes than any photo of its size."""
+    return width * height > LARGE and 3 * width * height > _MAX_PACKED * size
 
 
 def orient(pixels: Pixels, orientation: int) -> Pixels:

@@ -250,6 +250,7 @@ def test_verify_finds_a_photo_whose_times_were_set_back(shell: Shell) -> None:
         (OSError(errno.ENOMEM, "x"), OutOfMemory),
         (RuntimeError("DefaultCPUAllocator: not enough memory: you tried to"), OutOfMemory),
         (RuntimeError("std::bad_alloc"), OutOfMemory),
+        (ImportError("_rawpy.so: failed to map segment from shared object"), OutOfMemory),
         (OSError(errno.EIO, "x", "a.jpg"), DiskFault),
         (OSError(errno.ESTALE, "x", "a.jpg"), DiskFault),
         (OSError(errno.ENOLCK, "x", "a"), SystemLimit),
