@@ -29,6 +29,7 @@ from refdgs_pipe.pipeline.catalog import PUBLISHED
 from refdgs_pipe.pipeline.events import Emit
 from refdgs_pipe.pipeline.plan import Step
 from refdgs_pipe.pipeline.stage import Artifact
+from refdgs_pipe.pipeline.store import load
 
 PathLike: TypeAlias = str | os.PathLike[str]
 T = TypeVar("T", bound=Artifact)
@@ -200,7 +201,7 @@ def _result(
 def _load(workspace: PathLike, kind: type[T]) -> T:
     """The current result of the stage that makes this kind of artifact."""
     space = spaces.open_workspace(Path(workspace), tell=_warn)
-    return kind.load(space.result(kind.__name__)[1])
+    return load(kind, space.result(kind.__name__)[1])
 
 
 def _paths(photos: PathLike | Iterable[PathLike]) -> list[Path]:

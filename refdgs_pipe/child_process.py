@@ -22,7 +22,7 @@ import traceback
 from collections.abc import Callable
 from typing import IO, Any, NoReturn, TypeAlias
 
-from refdgs_pipe.errors import Cancelled, RefdgsError
+from refdgs_pipe.errors import Cancelled, OutOfMemory, RefdgsError
 
 OnProgress: TypeAlias = Callable[[str, int, int | None], None]
 
@@ -33,6 +33,12 @@ LOG_LINES = 40
 
 class ChildCrashed(RefdgsError):
     """The process ended without an answer: a signal, an abort, or no memory left."""
+
+
+class ChildKilled(ChildCrashed, OutOfMemory):
+    """The process was killed from outside, as the system does where memory runs out."""
+
+    exit_code = OutOfMemory.exit_code
 
 
 class ChildTimeout(RefdgsError):
@@ -144,7 +150,8 @@ def _read_answer(target: str, returncode: int, answer: IO[bytes], log: IO[bytes]
     answer.seek(0)
     data = answer.read()
     if returncode != 0 or not data:
-        raise ChildCrashed(f"{target} {_cause(returncode)}\n{_tail(log)}".rstrip())
+        kind = ChildKilled if returncode == -signal.SIGKILL else ChildCrashed
+        raise kind(f"{target} {_cause(returncode)}\n{_tail(log)}".rstrip())
     is_error, value = pickle.loads(data)
     if is_error:
         raise value

@@ -1,6 +1,6 @@
 """Every error a user can meet, with its exit code. The README publishes the table.
 
-RefdgsError             70  something we did not foresee
+RefdgsError             70  a bug; never raised itself
 ├── InputError          64  the command line, recipe or a named file is wrong: fix it and try again
 ├── CaptureError        65  the photos cannot be used
 ├── PoseError           66  too few photos found their place
@@ -12,6 +12,9 @@ RefdgsError             70  something we did not foresee
 ├── WriteError          73  the disk is full, read-only or forbidden
 ├── CorruptError        74  a file on disk is damaged
 ├── Interrupted         75  told to stop from outside (SIGTERM); the next run resumes
+├── OutOfMemory         76  the memory does not suffice
+├── DiskFault           77  a disk or a network drive fails to read or write
+├── SystemLimit         78  the system refuses: no file locks, or too many open files
 └── Cancelled          130  Ctrl-C; what was finished is kept, the next run resumes
 """
 
@@ -60,6 +63,18 @@ class WriteError(RefdgsError):
 
 class CorruptError(RefdgsError):
     exit_code = 74
+
+
+class OutOfMemory(RefdgsError):
+    exit_code = 76
+
+
+class DiskFault(RefdgsError):
+    exit_code = 77
+
+
+class SystemLimit(RefdgsError):
+    exit_code = 78
 
 
 class Cancelled(RefdgsError):

@@ -1,5 +1,8 @@
 """Figures in words, the same on the terminal and in the report."""
 
+# line and paragraph separators, marks of direction, the byte order mark
+_UNSEEN = {*range(0x200E, 0x2010), *range(0x2028, 0x202F), *range(0x2066, 0x206A), 0xFEFF, 0x061C}
+
 
 def duration(seconds: float) -> str:
     """Seconds in words: 0.4 s, 12 s, 3 min 20 s, 2 h 5 min."""
@@ -36,5 +39,24 @@ def counted(count: int, noun: str) -> str:
 
 
 def printable(text: object) -> str:
-    r"""Text that any terminal, log and JSON takes: bytes that are no UTF-8 become \xff."""
-    return str(text).encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
+    r"""Text that any terminal, page, log and JSON takes, in one line.
+
+    Bytes that are no UTF-8 become \xff, control characters and marks that turn the direction of
+    text their codes: a file name can neither steer a terminal nor forge a line.
+    """
+    plain = str(text).encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
+    return plain if plain.isascii() and plain.isprintable() else "".join(map(_shown, plain))
+
+
+def printable_lines(text: object) -> str:
+    """`printable`, of text whose line ends and tabs are meant."""
+    lines = str(text).split("\n")
+    return "\n".join("\t".join(map(printable, line.split("\t"))) for line in lines)
+
+
+def _shown(char: str) -> str:
+    code = ord(char)
+    is_control = code < 0x20 or 0x7F <= code < 0xA0 or code in _UNSEEN
+    if not (is_control or 0xD800 <= code < 0xE000):
+        return char
+    return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}"

@@ -6,7 +6,7 @@ each stage that it changes.
 """
 
 import difflib
-import tomllib
+import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
@@ -16,8 +16,12 @@ from typing import Any
 from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 
+from refdgs_pipe.documents import MAX_TOML, parse_toml, read_text
 from refdgs_pipe.errors import InputError
+from refdgs_pipe.formatting import printable
+from refdgs_pipe.names import fault_of, leads_out
 from refdgs_pipe.params import Params
+from refdgs_pipe.trouble import raise_if_machine
 
 DEFAULT = "glossy"
 
@@ -139,6 +143,15 @@ def describe(settings: Mapping[str, Params], *, only: Recipe | None = None) -> s
     return "\n".join(lines).strip() + "\n"
 
 
+def as_toml(recipe: Recipe) -> str:
+    """A recipe with all that it builds on, as one TOML file that says the same."""
+    lines = [f"# {recipe.about}"] if recipe.about else []
+    lines.append(f"draft = {_toml(recipe.draft)}")
+    for stage, table in recipe.tables.items():
+        lines += ["", f"[{stage}]", *(f"{key} = {_toml(value)}" for key, value in table.items())]
+    return "\n".join(lines) + "\n"
+
+
 def meaning(info: FieldInfo) -> str:
     """A setting's description with its limits and default."""
     words = {"gt": "above", "ge": "at least", "lt": "below", "le": "at most"}
@@ -157,8 +170,8 @@ def _load(name: str, beside: Path, seen: tuple[str, ...]) -> Recipe:
     if label in seen:
         raise InputError(f"{label}: extends itself, by way of {' -> '.join(seen)}")
     try:
-        tables = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+        tables = parse_toml(text)
+    except ValueError as error:
         raise InputError(f"{label}: not TOML: {error}") from None
     parent = tables.pop("extends", None)
     if parent is not None and not isinstance(parent, str):
@@ -173,6 +186,7 @@ def _load(name: str, beside: Path, seen: tuple[str, ...]) -> Recipe:
     origins: dict[str, str] = {}
     if parent is not None:
         folder = Path(name).parent if name.endswith(".toml") else Path()
+        _check_parent(parent, beside / folder, label)
         base = _load(parent, beside / folder, (*seen, label))
         merged, origins = base.tables, base.origins
         draft = base.draft if draft is None else draft
@@ -181,13 +195,27 @@ def _load(name: str, beside: Path, seen: tuple[str, ...]) -> Recipe:
     return Recipe(name, _opening_comment(text), merged, origins, bool(draft))
 
 
+def _check_parent(name: str, folder: Path, label: str) -> None:
+    """A recipe extends one of ours, or a file in its own folder: both may be passed on."""
+    is_file = name.endswith(".toml") or "/" in name
+    fault = fault_of(name)
+    if not fault and is_file and leads_out(folder, folder / name):
+        fault = "it is a link out of the folder"
+    if fault:
+        raise InputError(
+            f"{label}: extends = {printable(name)!r}: {fault}. Give the name of a recipe, or of a "
+            "file in the same folder"
+        )
+
+
 def _read(name: str, beside: Path) -> tuple[str, str]:
     """The text of a recipe and how to call it in messages."""
     if name.endswith(".toml") or "/" in name:
         path = beside / name
         try:
-            return path.read_text("utf-8"), str(path)
-        except (OSError, UnicodeDecodeError) as error:
+            return read_text(path, limit=MAX_TOML), str(path)
+        except (OSError, ValueError) as error:
+            raise_if_machine(error)
             raise InputError(f"{path}: cannot read this recipe ({error})") from None
     if name not in names():
         hint = _nearest(name, names())
@@ -213,8 +241,8 @@ def _parse_assignment(text: str) -> tuple[str, str, Any]:
     if not (equals and dot and stage and key):
         raise InputError(f"--set {text}: expected stage.setting=value, as in extract.voxel=0.002")
     try:
-        return stage, key, tomllib.loads(f"value = {raw}")["value"]
-    except tomllib.TOMLDecodeError:
+        return stage, key, parse_toml(f"value = {raw}")["value"]
+    except ValueError:
         return stage, key, raw.strip()  # a word needs no quotes on the command line
 
 
@@ -267,7 +295,7 @@ def _toml(value: Any) -> str | None:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):
-        return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, Mapping):
         items = ((key, _toml(item)) for key, item in value.items())
         return "{ " + ", ".join(f"{key} = {item}" for key, item in items if item) + " }"

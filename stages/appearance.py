@@ -12,7 +12,7 @@ from refdgs_pipe.pipeline.stage import Job, stage
 from refdgs_pipe.texture.settings import AppearanceParams
 
 
-@stage(version=7, programs=("open3d-cpu", "scipy"))
+@stage(version=8, programs=("open3d-cpu", "scipy"))
 def appearance(
     mesh: Mesh,
     field: SurfelField,
@@ -43,7 +43,7 @@ def appearance(
     light = typical_light(field, samples.roughness, samples.specular, params.light)
     lift, metal = tolerance / 2, params.metal == "tell"
     told = partial(job.progress, "telling material from light")
-    found = fit(mesh, samples, light, lift=lift, metal=metal, threads=job.threads, progress=told)
+    found = fit(mesh, samples, light, lift=lift, metal=metal, progress=told)
     assert found.environment is not None  # a fit always has one
     job.measure("mean light", round(float(found.environment.mean()), 3), "linear, 1 is white")
     job.measure("metal", round(float((found.metallic > 0.5).mean()), 3), "share of the vertices")

@@ -93,6 +93,11 @@ def read(letters: Letters, params: ReadParams, job: Job) -> Words:
         raise CaptureError("letter 1 is unusable")
     if "bug" in texts:
         raise KeyError("a mistake of ours")
+    for text in texts:
+        if text == "fail 0":
+            raise MemoryError
+        if text.startswith("fail "):
+            raise OSError(int(text[5:]), "failing", "a.txt")
     text = " ".join(texts)
     job.measure("letters", len(texts))
     if "odd" in text:

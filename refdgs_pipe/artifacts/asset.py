@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Self
 
 from refdgs_pipe.errors import CorruptError
+from refdgs_pipe.names import fault_of
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,9 @@ class Asset:
         try:
             record = json.loads((folder / "asset.json").read_text(encoding="utf-8"))
             files = tuple(AssetFile(**file) for file in record["files"])
+            for file in files:
+                if fault := fault_of(file.name):
+                    raise ValueError(f"{file.name}: {fault}")
             return cls(folder, files, record["faces"], record["texture_size"])
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise CorruptError(f"asset.json: {error}") from error

@@ -1,6 +1,5 @@
 """The user's photos, wherever they lie and however they are laid out. Read only."""
 
-import json
 import os
 import re
 import shutil
@@ -10,10 +9,13 @@ from typing import Any, Literal
 
 from refdgs_pipe.artifacts.truth import all_truth_files, photo_truth_files
 from refdgs_pipe.artifacts.views import KnownPose
+from refdgs_pipe.documents import parse_json, read_text
 from refdgs_pipe.errors import CaptureError, InputError
 from refdgs_pipe.files.archive import check_zip, unpack_zip
 from refdgs_pipe.files.kinds import is_candidate, sniff
 from refdgs_pipe.formatting import printable
+from refdgs_pipe.names import fault_of, leads_out
+from refdgs_pipe.trouble import raise_if_machine
 
 Kind = Literal["photos", "blender", "nerfstudio", "nero", "colmap"]
 MaskKind = Literal["drawn", "alpha", "depth"]
@@ -96,8 +98,14 @@ class Capture:
         """Find out what was given. Of a ZIP, whose layout is known once it is opened, nothing.
 
         Raises:
-            CaptureError: a path does not exist, or nothing in it could be a photo.
+            CaptureError: a path does not exist, nothing in it could be a photo, or a photo is a
+                link out of it.
         """
+        found = self._layout()
+        _refuse_links(found, self.paths)
+        return found
+
+    def _layout(self) -> Layout:
         for path in self.paths:
             if not path.exists():
                 raise CaptureError(
@@ -136,7 +144,9 @@ class Capture:
         if found.kind == "photos":
             files |= photo_truth_files(found.root)
         for folder in found.masks:
-            files.update(path for path in _visible_files(folder) if is_candidate(path))
+            masks = [path for path in _visible_files(folder) if is_candidate(path)]
+            _refuse_links(replace(found, photos=tuple(masks)), self.paths)
+            files.update(masks)
         return sorted((relative_name(found.root, path), path) for path in files)
 
 
@@ -166,8 +176,9 @@ def read_transforms(path: Path) -> dict[str, object]:
         InputError: the file is not JSON, or not an object.
     """
     try:
-        record = json.loads(path.read_text(encoding="utf-8"))
+        record = parse_json(read_text(path))
     except (ValueError, OSError) as error:
+        raise_if_machine(error)
         raise InputError(f"{path}: not readable as JSON ({error})") from None
     if not isinstance(record, dict):
         raise InputError(f"{path}: expected an object with `frames`, found something else")
@@ -178,13 +189,29 @@ def frame_files(root: Path, record: dict[str, object]) -> tuple[Path | None, Pat
     """The photo and the mask of one entry of `frames`; None where the file does not exist.
 
     Without a `mask_path` the mask is r_0_alpha.png beside r_0.png (Shiny Blender's ball).
+
+    Raises:
+        InputError: a name leads out of the folder.
     """
-    photo = _with_suffix(root / str(record["file_path"]))
+    photo = _named_file(root, "file_path", record["file_path"])
     if (mask := record.get("mask_path")) is not None:
-        return photo, _with_suffix(root / str(mask))
+        return photo, _named_file(root, "mask_path", mask)
     if photo is None:
         return None, None
-    return photo, _with_suffix(photo.with_name(f"{photo.stem}_alpha.png"))
+    return photo, _named_file(root, "mask", f"{photo.relative_to(root).with_suffix('')}_alpha.png")
+
+
+def _named_file(root: Path, key: str, name: object) -> Path | None:
+    """The file that a data set names, if it exists; it must lie in the data set's folder."""
+    fault = fault_of(name)
+    path = None if fault else _with_suffix(root / str(name))
+    if path is not None and leads_out(root, path):
+        fault = f"it is a link to {path.resolve()}"
+    if fault:
+        raise InputError(
+            printable(f"{root}: {key} {str(name)!r}: {fault}. Files must lie in that folder")
+        )
+    return path
 
 
 def nero_depth(photo: Path) -> Path:
@@ -341,6 +368,23 @@ def _list_layout(paths: tuple[Path, ...]) -> Layout:
     names = _folders_in(root) if len(parents) == 1 else []
     masks = tuple(root / name for name in names if name.lower() in _MASK_FOLDERS)
     return Layout("photos", root, tuple(sorted(paths, key=_natural)), masks)
+
+
+def _refuse_links(found: Layout, given: tuple[Path, ...]) -> None:
+    """A photo may be a link only to what lies in the capture, or where the user named the link.
+
+    Raises:
+        CaptureError: one leads out of the folder.
+    """
+    roots = [path for path in (*given, found.root, *found.masks) if path.is_dir()]
+    for path in (*found.photos, *found.model):
+        if path.is_symlink() and path not in given and all(leads_out(r, path) for r in roots):
+            raise CaptureError(
+                printable(
+                    f"{path} is a link out of the folder, to {path.resolve()}. Copy the file there,"
+                    " or give the files themselves"
+                )
+            )
 
 
 def _colmap_files(root: Path) -> tuple[Path, ...]:

@@ -12,6 +12,7 @@ import numpy as np
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.errors import CorruptError, InputError
 from refdgs_pipe.files.kinds import sniff
+from refdgs_pipe.names import fault_of
 
 Kind = Literal["given", "found", "network", "adopted", "none"]
 _FILE = "masks.json"
@@ -83,6 +84,9 @@ class Masks:
         try:
             record = json.loads((folder / _FILE).read_text(encoding="utf-8"))
             names = tuple(str(name) for name in record["names"])
+            for name in names:
+                if fault := fault_of(name):
+                    raise ValueError(f"{name}: {fault}")
             return cls(folder, names, record["kind"], str(record["reason"]))
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise CorruptError(f"{folder / _FILE}: {error}") from error

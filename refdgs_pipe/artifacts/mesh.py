@@ -11,6 +11,8 @@ from refdgs_pipe.errors import CorruptError, InputError
 from refdgs_pipe.files.obj import read_obj
 from refdgs_pipe.files.ply import read_mesh, write_mesh
 
+_LEAST_COMMON = 0.25  # of the boxes' union: a mesh may be cut, but not turned or scaled
+
 
 @dataclass(frozen=True)
 class TriangleMesh:
@@ -61,6 +63,32 @@ class Mesh(TriangleMesh):
         if not len(data.faces):
             raise CorruptError(f"{path.name}: holds no triangles: adopt a mesh that has some")
         return cls(data.vertices, data.faces)
+
+    def placed_like(self, before: "Mesh") -> None:
+        """Refuse an adopted mesh that does not lie where the one that it replaces does.
+
+        Exported files are in metres and +Y up; the pipeline's own meshes are in world units.
+
+        Raises:
+            InputError: the boxes round both hardly overlap.
+        """
+        own, old = _box(self), _box(before)
+        common = np.prod(np.clip(np.minimum(own[1], old[1]) - np.maximum(own[0], old[0]), 0, None))
+        whole = np.prod(own[1] - own[0]) + np.prod(old[1] - old[0]) - common
+        if common < _LEAST_COMMON * whole:
+            shown = (np.array2string(np.concatenate(box), precision=3) for box in (own, old))
+            raise InputError(
+                "the mesh lies elsewhere: from and to {}, expected {}. Exported files are in "
+                "metres and +Y up: edit mesh.ply of the folder that `refdgs-pipe path WORKSPACE "
+                "mesh` prints, and save it without turning or scaling it".format(*shown)
+            )
+
+
+def _box(mesh: TriangleMesh) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The least and the largest coordinates, of a box that is nowhere flat."""
+    low, high = mesh.vertices.min(0).astype(float), mesh.vertices.max(0).astype(float)
+    thin = 1e-3 * max(float((high - low).max()), 1e-12)
+    return low - thin, high + thin
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from refdgs_pipe.files.colmap import (
     read_model,
     write_model,
 )
+from refdgs_pipe.names import fault_of
 
 F64 = NDArray[np.float64]
 
@@ -123,6 +124,7 @@ class SparseModel:
                 Lens(np.array(k["K"], float), np.array(k["distortion"], float))
                 for k in record["lenses"]
             ]
+            _view_names(colmap)
             ball = Ball(np.array(record["ball"]["center"], float), record["ball"]["radius"])
             return cls(
                 cameras=_from_colmap(colmap, set(record["test"])),
@@ -171,6 +173,17 @@ def _to_colmap(model: SparseModel) -> ColmapModel:
         model.point_colors,
         np.full(len(model.points), -1.0),
     )
+
+
+def _view_names(colmap: ColmapModel) -> None:
+    """Refuse names of views that would lead elsewhere as file names.
+
+    Raises:
+        ValueError: one does.
+    """
+    for image in colmap.images.values():
+        if (fault := fault_of(image.name)) or "/" in image.name:
+            raise ValueError(f"{image.name}: {fault or 'a name of a view has no folder'}")
 
 
 def _from_colmap(colmap: ColmapModel, test: set[str]) -> tuple[Camera, ...]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from refdgs_pipe.camera import F64, Lens
 from refdgs_pipe.errors import CorruptError
+from refdgs_pipe.names import fault_of
 
 ColorSpace = Literal["srgb", "linear"]
 Background = Literal["photo", "removed", "masked"]
@@ -200,20 +201,33 @@ class Views:
         """Read what `save` wrote.
 
         Raises:
-            CorruptError: a file is missing or damaged.
+            CorruptError: a file is missing or damaged, or a name leads out of the folder.
         """
         try:
-            record = json.loads((folder / "views.json").read_text(encoding="utf-8"))
-            items = tuple(_view_from_json(r) for r in record["views"])
-            skipped = tuple(Skipped(**s) for s in record["skipped"])
-            points = None
-            if (folder / "points.npz").exists():
-                with np.load(folder / "points.npz", allow_pickle=False) as data:
-                    tracks = {k[6:]: data[k] for k in data.files if k.startswith("track/")}
-                    points = KnownPoints(data["xyz"], data["colors"], tracks)
-            return cls(folder, items, record["color_space"], record["background"], skipped, points)
-        except (OSError, EOFError, BadZipFile, ValueError, KeyError, TypeError) as error:
-            raise CorruptError(f"{folder / 'views.json'}: {error}") from error
+            return cls._load(folder)
+        except (
+            OSError,
+            EOFError,
+            BadZipFile,
+            ValueError,
+            KeyError,
+            TypeError,
+            AttributeError,
+            IndexError,
+        ) as error:
+            raise CorruptError(f"{folder / 'views.json'}: {error}") from None
+
+    @classmethod
+    def _load(cls, folder: Path) -> Self:
+        record = json.loads((folder / "views.json").read_text(encoding="utf-8"))
+        items = tuple(_view_from_json(r) for r in record["views"])
+        skipped = tuple(Skipped(**s) for s in record["skipped"])
+        points = None
+        if (folder / "points.npz").exists():
+            with np.load(folder / "points.npz", allow_pickle=False) as data:
+                tracks = {k[6:]: data[k] for k in data.files if k.startswith("track/")}
+                points = KnownPoints(data["xyz"], data["colors"], tracks)
+        return cls(folder, items, record["color_space"], record["background"], skipped, points)
 
 
 def _view_to_json(view: View) -> dict[str, Any]:
@@ -229,6 +243,11 @@ def _view_to_json(view: View) -> dict[str, Any]:
 
 
 def _view_from_json(record: dict[str, Any]) -> View:
+    for name in (record["name"], record["file"], record.get("mask"), record.get("placing")):
+        if name is not None and (fault := fault_of(name)):
+            raise ValueError(f"{name}: {fault}")
+    if "/" in record["name"]:
+        raise ValueError(f"{record['name']}: a view's name has no folder")
     known = record.pop("known", None)
     if known is not None:
         lens = Lens(np.array(known["K"], float), np.array(known["distortion"], float))

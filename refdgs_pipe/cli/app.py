@@ -1,7 +1,5 @@
 """The command line. Thin: each command opens a workspace, calls one function and prints."""
 
-import json
-import os
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,12 +10,14 @@ from refdgs_pipe import __version__, recipe
 from refdgs_pipe.cli import mask_model
 from refdgs_pipe.cli import workspace as spaces
 from refdgs_pipe.cli.check import check_command
-from refdgs_pipe.cli.device import bytes_of, let_waiting_threads_sleep
-from refdgs_pipe.cli.logs import keep_traceback
+from refdgs_pipe.cli.device import bytes_of, check_device
+from refdgs_pipe.cli.ending import end_with
 from refdgs_pipe.cli.mat import mat_command
-from refdgs_pipe.cli.running import Options, make, print_plan, steps_json
-from refdgs_pipe.errors import Cancelled, InputError, RefdgsError
-from refdgs_pipe.formatting import duration, size
+from refdgs_pipe.cli.running import Options, make, print_plan, steps_json, within
+from refdgs_pipe.cli.verify import make_sound
+from refdgs_pipe.documents import write_json_text
+from refdgs_pipe.errors import InputError
+from refdgs_pipe.formatting import duration, printable, size
 
 HELP = "Photos of a glossy object in, a textured GLB and USDZ out."
 
@@ -47,6 +47,7 @@ CudaGraph = Annotated[
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="only warnings and errors")]
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="every measured figure too")]
 Strict = Annotated[bool, typer.Option("--strict", help="exit with 3 on warnings or a poor verdict")]
+Verify = Annotated[bool, typer.Option("--verify", help="first compare every file with its record")]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="only say what would be done")]
 
 
@@ -89,6 +90,7 @@ def run_command(
         typer.Option("--mask-model", help="masks by your own network, ONNX", metavar="FILE"),
     ] = None,
     dry_run: DryRun = False,
+    verify: Verify = False,
     device: Device = "auto",
     vram: Vram = "",
     cuda_graph: CudaGraph = None,
@@ -99,7 +101,7 @@ def run_command(
     verbose: Verbose = False,
 ) -> None:
     """Make the asset, and whatever of the way to it is missing."""
-    limit = bytes_of(vram)
+    limit, _ = bytes_of(vram), check_device(device)
     sized = [] if longest is None else [f"export.longest={longest}"]
     masked = [] if network is None else [mask_model.assignment(network)]
     given = [*(assignments or []), *sized, *masked]
@@ -108,13 +110,16 @@ def run_command(
     if start is not None:
         again |= space.pipeline.following(space.stage_name(start))
     until = space.stage_name(until) if until else None
-    again &= {stage.name for stage in space.pipeline.needed_for(until)}
-    if dry_run:
-        print_plan(space, until, again, as_json=as_json)
-        return
+    again = within(space, again, until)
     verbosity = 0 if quiet else 2 if verbose else 1
     how = (device, threads, as_json, strict, verbosity, limit, cuda_graph)
-    raise typer.Exit(make(space, Options(until, frozenset(again), *how)))
+    options = Options(until, frozenset(again), *how)
+    if dry_run:
+        print_plan(space, options)
+        return
+    if verify:
+        make_sound(space, tell=spaces.note)
+    raise typer.Exit(make(space, options))
 
 
 app.command("check")(check_command)
@@ -160,9 +165,22 @@ def status_command(
     for step in steps:
         word = {"up to date": "", "adopted": ""}.get(step.state, f"{step.state}  ")
         took = f"  ({duration(step.manifest.seconds)})" if step.manifest else ""
-        print(f"{step.stage.name:9} {word}{step.reason}{took}")
+        print(printable(f"{step.stage.name:9} {word}{step.reason}{took}"))
         for warning in step.manifest.warnings if step.manifest else ():
-            print(f"{'':9} warning: {warning}")
+            print(printable(f"{'':9} warning: {warning}"))
+
+
+@app.command("verify")
+def verify_command(workspace: Folder, as_json: Json = False) -> None:
+    """Compare every file with its record, set aside what differs, print the chain of hashes."""
+    from refdgs_pipe.cli import verify
+
+    found = verify.examine(spaces.open_workspace(workspace))
+    if as_json:
+        _print_json(found.record())
+    else:
+        print(verify.describe(found))
+    raise typer.Exit(found.exit_code)
 
 
 @app.command("path")
@@ -185,7 +203,7 @@ def clean_command(workspace: Folder, dry_run: DryRun = False, as_json: Json = Fa
         return
     word = "would free" if dry_run else "freed"
     for path in sizes:
-        print(path)
+        print(printable(path))
     print(f"{word} {size(sum(sizes.values()))}", file=sys.stderr)
 
 
@@ -206,7 +224,7 @@ def adopt_command(
         print(f"{name}: {'its own result again' if had else 'nothing was adopted'}")
         return
     space.pipeline.adopt(name, file, space.fingerprint(), space.settings)
-    print(f"{name}: adopted from {file.name}. `run` makes what follows")
+    print(f"{name}: adopted from {printable(file.name)}. `run` makes what follows")
 
 
 @app.command("render")
@@ -348,32 +366,12 @@ def recipe_show_command(
 
 
 def main() -> None:
-    """Run the command line. Errors meant for users have no traceback; others go to a log."""
-    let_waiting_threads_sleep()
-    try:
-        app(prog_name="refdgs-pipe")
-    except RefdgsError as error:
-        if "--json" in sys.argv:
-            kind, code = type(error).__name__, error.exit_code
-            failure = {"status": "failed", "kind": kind, "exit_code": code, "message": str(error)}
-            _print_json(failure)
-        prefix = "" if isinstance(error, Cancelled) else "error: "
-        print(f"{prefix}{error}", file=sys.stderr)
-        sys.exit(error.exit_code)
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(1)
-    except Exception as error:
-        print(
-            f"internal error: {type(error).__name__}: {error}\n"
-            f"This is a mistake of ours. Please report it with {keep_traceback(error)}",
-            file=sys.stderr,
-        )
-        sys.exit(RefdgsError.exit_code)
+    """Run the command line and end the process with its exit code."""
+    end_with(app)
 
 
 def _print_json(record: Any) -> None:
-    print(json.dumps(record, indent=2, ensure_ascii=False, default=str))
+    print(write_json_text(record, indent=2))
 
 
 if __name__ == "__main__":

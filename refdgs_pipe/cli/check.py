@@ -1,6 +1,5 @@
 """The command `check`: look at photos before anyone waits for hours."""
 
-import json
 import sys
 import tempfile
 import time
@@ -14,6 +13,7 @@ from refdgs_pipe.cli.console import Console
 from refdgs_pipe.cli.device import core_count
 from refdgs_pipe.cli.signals import Stopper
 from refdgs_pipe.cli.workspace import Memory, absolute, default_root, is_workspace
+from refdgs_pipe.documents import write_json_text
 from refdgs_pipe.errors import Cancelled, InputError, WriteError
 from refdgs_pipe.pipeline.catalog import load_stages
 from refdgs_pipe.pipeline.events import Progress, Started
@@ -59,7 +59,7 @@ def check_command(
         from refdgs_pipe.checking.record import record
 
         told = record(checked) | {"page": written and str(written)}
-        print(json.dumps(told, indent=2, ensure_ascii=False))
+        print(write_json_text(told, indent=2))
     else:
         print(describe(checked))
         if written is not None:

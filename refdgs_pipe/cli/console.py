@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from types import TracebackType
 from typing import Any, Self
 
-from refdgs_pipe.formatting import duration, figure
+from refdgs_pipe.formatting import duration, figure, printable_lines
 from refdgs_pipe.pipeline.events import (
     Damaged,
     Event,
@@ -111,6 +111,7 @@ class Console:
         """Print a line above the bar."""
         if self.verbosity < level:
             return
+        text = printable_lines(text)
         if self._bar is not None:
             self._bar.console.print(text, markup=False, highlight=False, soft_wrap=True)
         else:

@@ -13,6 +13,15 @@ UNITS = {"MB": 10**6, "GB": 10**9, "MIB": 2**20, "GIB": 2**30}
 REBUILD = "Reinstall where nvcc is on the PATH: pip install --force-reinstall --no-deps ."
 
 
+def check_device(wanted: str) -> str:
+    """The device asked for, if it can be used; "auto" always can.
+
+    Raises:
+        InputError, DeviceError: as `choose_device`.
+    """
+    return wanted if wanted == "auto" else choose_device(wanted)
+
+
 def choose_device(wanted: str) -> str:
     """ "cpu" or "cuda". With "auto" a GPU is used if it is there and both libraries can use it.
 

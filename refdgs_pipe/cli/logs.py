@@ -1,7 +1,7 @@
 """The log of a run: one JSON object a line, in the workspace's logs/."""
 
-import json
 import os
+import re
 import tempfile
 import time
 import traceback
@@ -10,10 +10,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import IO, Any
 
+from refdgs_pipe.documents import write_json_text
 from refdgs_pipe.errors import RefdgsError
 from refdgs_pipe.pipeline.events import Event, Progress, Sampled
+from refdgs_pipe.trouble import explained
 
 KEPT = 50  # older logs go
+_NAME = re.compile(r"\d{8}-\d{6}-\d+\.jsonl")  # no other file in the folder is ours
 EVERY_S = 2.0  # at most one line of progress and one of figures in this time
 
 
@@ -26,10 +29,13 @@ class RunLog:
         self._file: IO[str] | None = None
         self._last: dict[type[Event], float] = {}
         with suppress(OSError):
+            if self.path.parent.is_symlink():
+                return  # a workspace holds no links: nothing is written or deleted elsewhere
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            for old in sorted(self.path.parent.glob("*.jsonl"))[: -KEPT + 1]:
+            logs = [path for path in self.path.parent.iterdir() if _NAME.fullmatch(path.name)]
+            for old in sorted(logs)[: -KEPT + 1]:
                 old.unlink()
-            self._file = self.path.open("w", encoding="utf-8", buffering=1)
+            self._file = self.path.open("x", encoding="utf-8", buffering=1)
 
     def __call__(self, event: Event) -> None:
         if isinstance(event, Progress | Sampled):
@@ -44,14 +50,15 @@ class RunLog:
         if self._file is not None:
             line = {"time": round(time.time(), 3), "event": event, **record}
             with suppress(OSError):
-                print(json.dumps(line, ensure_ascii=False, default=str), file=self._file)
+                print(write_json_text(line, indent=None), file=self._file)
 
     def error(self, error: BaseException) -> None:
         """Add the end of a run that failed, with the traceback and a child's last words."""
         text = "".join(traceback.format_exception(error))
-        kind, code = type(error).__name__, getattr(error, "exit_code", 70)
-        self.write("failed", kind=kind, exit_code=code, message=str(error), traceback=text)
-        if not isinstance(error, RefdgsError) and self._file is not None:
+        found = explained(error) or error
+        kind, code = type(found).__name__, getattr(found, "exit_code", 70)
+        self.write("failed", kind=kind, exit_code=code, message=str(found), traceback=text)
+        if not isinstance(found, RefdgsError) and self._file is not None:
             error.add_note(str(self.path))
 
     def close(self) -> None:

@@ -11,6 +11,7 @@ from refdgs_pipe.cli.device import choose_device, core_count
 from refdgs_pipe.cli.workspace import Workspace
 from refdgs_pipe.errors import InputError
 from refdgs_pipe.pipeline.atomic import disk_errors
+from refdgs_pipe.pipeline.store import load
 
 SPLITS = {"train": ("train",), "test": ("test",), "all": ("train", "test")}
 MAPS = ("normal", "alpha", "depth", "diffuse", "specular", "roughness")
@@ -91,7 +92,7 @@ def look_at(
 
 def _load(space: Workspace, stage: str) -> Any:
     step, folder = space.result(stage)
-    return step.stage.output.load(folder)
+    return load(step.stage.output, folder)
 
 
 def _write(out: Path, maps: Any) -> None:

@@ -7,6 +7,9 @@ from refdgs_pipe import recipe
 from refdgs_pipe.cli.device import core_count
 from refdgs_pipe.cli.verdict import is_draft
 from refdgs_pipe.cli.workspace import Workspace
+from refdgs_pipe.errors import InputError
+from refdgs_pipe.formatting import printable
+from refdgs_pipe.trouble import explained
 
 
 def write(space: Workspace, out: Path | None, *, threads: int) -> Path:
@@ -16,8 +19,12 @@ def write(space: Workspace, out: Path | None, *, threads: int) -> Path:
 
     Raises:
         WriteError: the page cannot be written.
-        InputError, CaptureError: as `status` raises them.
+        InputError: `out` is a folder, or in none; else, and CaptureError, as `status` raises them.
     """
+    if out is not None and out.is_dir():
+        raise InputError(f"--out {printable(out)}: a folder. Give a file, such as {out / 'a.html'}")
+    if out is not None and not out.absolute().parent.is_dir():
+        raise InputError(f"--out {printable(out)}: there is no such folder. Make it first")
     from refdgs_pipe.reporting.facts import Drawing, collect
     from refdgs_pipe.reporting.page import NAME, write_report
 
@@ -34,7 +41,7 @@ def write(space: Workspace, out: Path | None, *, threads: int) -> Path:
     )
     path = out or space.root / NAME
     for problem in write_report(path, facts, Drawing(threads or core_count())):
-        print(f"report: warning: {problem}", file=sys.stderr)
+        print(f"report: warning: {printable(problem)}", file=sys.stderr)
     return path
 
 
@@ -46,8 +53,8 @@ def write_if_possible(space: Workspace, *, threads: int) -> Path | None:
         print("report: warning: not written, stopped", file=sys.stderr)
         return None
     except Exception as error:
-        kind = type(error).__name__
-        print(f"report: warning: not written, {kind}: {error}", file=sys.stderr)
+        words = printable(explained(error) or f"{type(error).__name__}: {error}")
+        print(f"report: warning: not written, {words}", file=sys.stderr)
         return None
 
 

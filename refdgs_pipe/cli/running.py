@@ -1,7 +1,8 @@
 """One run, as the command line does it: lock, log, signals, progress, and the words at its end."""
 
-import json
+import os
 import sys
+import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,14 +11,15 @@ from typing import Any
 
 from refdgs_pipe.cli import mask_model, report
 from refdgs_pipe.cli.console import Console
-from refdgs_pipe.cli.device import choose_device, core_count
+from refdgs_pipe.cli.device import check_device, choose_device, core_count
 from refdgs_pipe.cli.logs import RunLog
 from refdgs_pipe.cli.signals import Stopper
 from refdgs_pipe.cli.verdict import closing_lines, verdict_of
 from refdgs_pipe.cli.workspace import Workspace, is_workspace
-from refdgs_pipe.errors import Cancelled, RefdgsError, WorkspaceBusy, WriteError
+from refdgs_pipe.documents import write_json_text
+from refdgs_pipe.errors import Cancelled, InputError, RefdgsError, WorkspaceBusy, WriteError
 from refdgs_pipe.evaluation.verdict import Verdict
-from refdgs_pipe.formatting import duration, figure, size
+from refdgs_pipe.formatting import duration, figure, printable, size
 from refdgs_pipe.pipeline.catalog import PUBLISHED
 from refdgs_pipe.pipeline.events import Emit, Event, Finished, Started
 from refdgs_pipe.pipeline.plan import Step
@@ -90,8 +92,7 @@ def bring_up_to(
     Raises:
         RefdgsError: what went wrong, in words.
     """
-    if options.device != "auto":
-        choose_device(options.device)
+    check_device(options.device)
     with workspace.pipeline.store.lock():
         if stopper is not None:
             return _run_logged(workspace, options, stopper, also)
@@ -162,17 +163,52 @@ def _try_network(workspace: Workspace, stopper: Stopper) -> None:
         raise stopper.error(error) from None
 
 
-def print_plan(workspace: Workspace, until: str | None, again: set[str], *, as_json: bool) -> None:
-    """Say what a run would do, and why."""
-    wanted = workspace.pipeline.needed_for(until)
+def within(workspace: Workspace, again: set[str], until: str | None) -> set[str]:
+    """The stages to make again, as far as `until` reaches.
+
+    Raises:
+        InputError: it reaches none of them.
+    """
+    wanted = {stage.name for stage in workspace.pipeline.needed_for(until)}
+    if again and not again & wanted:
+        first = next(name for name in workspace.pipeline.names if name in again)
+        raise InputError(
+            f"{first} is not made by --until {until}: nothing would be made again. Leave --until "
+            f"out, or give --until {first} or a later stage"
+        )
+    return again & wanted
+
+
+def print_plan(workspace: Workspace, options: Options) -> None:
+    """Say what a run would do, and why.
+
+    Raises:
+        RefdgsError: what would end the run before its first stage.
+    """
+    wanted = workspace.pipeline.needed_for(options.until)
     steps = [step for step in workspace.status() if step.stage in wanted]
-    if as_json:
+    _check_place(workspace.root)
+    to_make = [s.stage.name for s in steps if s.manifest is None or s.stage.name in options.force]
+    if mask_model.STAGE in to_make:
+        mask_model.check(workspace.settings, threading.Event())
+    if options.json:
         settings = settings_json(workspace)
         _print_json({"settings": settings, "stages": steps_json(steps, workspace)})
         return
     for step in steps:
-        asked = step.stage.name in again and step.manifest
-        print(f"{step.stage.name:9} {'asked for again' if asked else step.reason}")
+        asked = step.stage.name in options.force and step.manifest
+        print(printable(f"{step.stage.name:9} {'asked for again' if asked else step.reason}"))
+
+
+def _check_place(root: Path) -> None:
+    """Refuse a place for a workspace that cannot be written.
+
+    Raises:
+        WriteError: it cannot.
+    """
+    place = next(path for path in (root, *root.parents) if os.path.lexists(path))
+    if not place.is_dir() or not os.access(place, os.W_OK | os.X_OK):
+        raise WriteError(f"{printable(place)}: cannot write here. Choose another with -w")
 
 
 def settings_json(workspace: Workspace) -> dict[str, Any]:
@@ -267,7 +303,7 @@ def _print_summary(
             for name, count in record["files"].items():
                 print(f"  {name}  {size(count)}", file=sys.stderr)
             for name, value, unit in last.measures:
-                print(f"  {name}: {figure(value)} {unit}".rstrip(), file=sys.stderr)
+                print(printable(f"  {name}: {figure(value)} {unit}".rstrip()), file=sys.stderr)
         if record["warnings"]:
             print(f"{len(record['warnings'])} warnings: see above or `status`", file=sys.stderr)
         if record["size"] is not None:
@@ -283,4 +319,4 @@ def _print_summary(
 
 
 def _print_json(record: dict[str, Any]) -> None:
-    print(json.dumps(record, indent=2, ensure_ascii=False))
+    print(write_json_text(record, indent=2))

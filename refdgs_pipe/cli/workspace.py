@@ -1,76 +1,46 @@
 """A workspace as the command line sees it: what it was made from, and how it stands."""
 
-import json
-import os
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 from refdgs_pipe import recipe
 from refdgs_pipe.cli import mask_model
-from refdgs_pipe.errors import CaptureError, InputError
+from refdgs_pipe.cli.memory import (
+    MEMORY,
+    Memory,
+    absolute,
+    absolute_recipe,
+    changed,
+    is_workspace,
+    remembered,
+)
+from refdgs_pipe.errors import CaptureError, CorruptError, InputError
 from refdgs_pipe.files.kinds import sniff
+from refdgs_pipe.formatting import printable, printable_lines
 from refdgs_pipe.params import Params
 from refdgs_pipe.pipeline import catalog
-from refdgs_pipe.pipeline.atomic import disk_errors, write_json
 from refdgs_pipe.pipeline.fingerprint import Fingerprint
 from refdgs_pipe.pipeline.plan import Pipeline, Step
 from refdgs_pipe.pipeline.stage import Source
 from refdgs_pipe.pipeline.store import Store
 
-MEMORY = "workspace.json"
-
-
-@dataclass(frozen=True)
-class Memory:
-    """What a workspace was last run with.
-
-    Args:
-        photos: absolute paths.
-        recipe: a name, or the absolute path of a TOML file.
-        assignments: the `stage.key=value` given by `--set`.
-    """
-
-    photos: tuple[Path, ...]
-    recipe: str
-    assignments: tuple[str, ...]
-
-    @classmethod
-    def read(cls, root: Path) -> Self:
-        """Read what a workspace remembers.
-
-        Raises:
-            InputError: the folder is not a workspace.
-        """
-        try:
-            record = json.loads((root / MEMORY).read_text("utf-8"))
-            photos = tuple(_find(entry, root) for entry in record["photos"])
-            name = record["recipe"]
-            name = name if isinstance(name, str) else str(_find(name, root))
-            return cls(photos, name, tuple(record["set"]))
-        except (OSError, ValueError, KeyError, TypeError):
-            raise InputError(
-                f"{root}: not a workspace. Give the folder that `run` made, such as PHOTOS.refdgs"
-            ) from None
-
-    def write(self, root: Path) -> None:
-        """Remember in the workspace. Paths are kept relative too, so that both may move together.
-
-        Raises:
-            WriteError: the workspace cannot be written.
-        """
-        is_file = self.recipe.endswith(".toml")
-        record = {
-            "photos": [_note(path, root) for path in self.photos],
-            "recipe": _note(Path(self.recipe), root) if is_file else self.recipe,
-            "set": list(self.assignments),
-        }
-        with disk_errors(root):
-            if not (root / MEMORY).exists() or self != Memory.read(root):
-                write_json(root / MEMORY, record)
+__all__ = [
+    "MEMORY",
+    "Memory",
+    "Workspace",
+    "absolute",
+    "absolute_recipe",
+    "default_root",
+    "is_workspace",
+    "note",
+    "open_for_run",
+    "open_workspace",
+    "remembered",
+    "weight",
+]
 
 
 @dataclass(frozen=True)
@@ -105,12 +75,16 @@ class Workspace:
 
         Raises:
             InputError: there is no such stage, or its result is missing.
+            CorruptError: a file of it is not as it was written.
         """
         name = self.stage_name(name)
         step = next(step for step in self.status() if step.stage.name == name)
         if step.origin is None or step.manifest is None:
             raise InputError(f"{name} has no current result: {step.reason}. Make it with `run`")
-        return step, self.pipeline.store.folder(step.origin)
+        try:
+            return step, self.pipeline.store.check(step.manifest)
+        except CorruptError as error:
+            raise CorruptError(f"{error}. `refdgs-pipe verify {self.root}` mends it") from None
 
     def stage_name(self, text: str) -> str:
         """The name of a stage, given by it or by what it makes ("mesh" for clean)."""
@@ -121,23 +95,24 @@ class Workspace:
 
 
 def default_root(photos: Sequence[Path]) -> Path:
-    """Where the workspace goes if nothing was said: PHOTOS.refdgs beside the photos."""
+    """Where the workspace goes if nothing was said: PHOTOS.refdgs beside the photos.
+
+    Raises:
+        InputError: the photos are the root of the file system.
+    """
     first = absolute(photos[0])
     if len(photos) == 1 and first.is_file() and sniff(first) in ("zip", "video"):
         return first.with_suffix(".refdgs")
     if len(photos) > 1 or first.is_file():
         first = first.parent
+    if not first.name:
+        raise InputError(f"{first}: the root of the file system. Give a folder of photos")
     return first.with_name(f"{first.name}.refdgs")
-
-
-def is_workspace(path: Path) -> bool:
-    """Whether a folder was made by `run`."""
-    return (path / MEMORY).is_file()
 
 
 def note(text: str) -> None:
     """Tell the user something that ends no run."""
-    print(f"note: {text}", file=sys.stderr)
+    print(f"note: {printable_lines(text)}", file=sys.stderr)
 
 
 def open_workspace(
@@ -181,13 +156,89 @@ def open_for_run(
         InputError: the settings are wrong.
         CaptureError: there are no photos.
     """
-    if root is None and len(photos) == 1 and is_workspace(photos[0]):
-        return open_workspace(photos[0], remembered(photos[0], recipe_name, assignments), tell=tell)
-    name = absolute_recipe(recipe_name or recipe.DEFAULT)
-    memory = Memory(tuple(absolute(path) for path in photos), name, tuple(assignments))
-    space = open_workspace(root or default_root(photos), memory, tell=tell)
+    first = absolute(photos[0])
+    if len(photos) == 1 and is_workspace(first) and (root is None or absolute(root) == first):
+        return open_workspace(first, remembered(first, recipe_name, assignments), tell=tell)
+    paths = tuple(absolute(path) for path in photos)
+    root = absolute(root or default_root(paths))
+    _refuse_places(paths, root)
+    memory = _going_on(paths, root, recipe_name, assignments, tell)
+    space = open_workspace(root, memory, tell=tell)
     space.source.files()  # a missing or empty folder is said before a workspace is made
+    if is_workspace(root):
+        _refuse_another_capture(space)
     return space
+
+
+def _refuse_places(paths: Sequence[Path], root: Path) -> None:
+    """Refuse photos and workspaces that cannot be meant, before anything is looked at.
+
+    Raises:
+        InputError: what is wrong.
+    """
+    for path in (*paths, root):
+        if not path.name:
+            raise InputError(f"{path}: the root of the file system. Give a folder of photos")
+    if root in paths:
+        raise InputError(
+            f"{printable(root)}: photos and workspace are the same folder. Give another with -w"
+        )
+    for path in paths:
+        if is_workspace(path):
+            raise InputError(
+                f"{printable(path)}: a workspace, not photos. Give its photos, or go on with it: "
+                f"refdgs-pipe run {printable(path)}"
+            )
+    if root.exists() and not root.is_dir():
+        raise InputError(f"{printable(root)}: a file, not a folder. Give another with -w")
+
+
+def _going_on(
+    paths: tuple[Path, ...],
+    root: Path,
+    name: str | None,
+    assignments: Sequence[str],
+    tell: Callable[[str], None],
+) -> Memory:
+    """What is asked for; what is not said is as the workspace remembers it, if there is one."""
+    fresh = Memory(paths, absolute_recipe(name or recipe.DEFAULT), tuple(assignments))
+    if name is not None or not is_workspace(root):
+        return fresh
+    try:
+        memory = replace(Memory.read(root), photos=paths)
+    except CorruptError:
+        tell(f"{root / MEMORY} was damaged and is written anew, for recipe {fresh.recipe}")
+        return fresh
+    if memory.assignments or memory.recipe != recipe.DEFAULT:
+        sets = "".join(f" --set {text}" for text in memory.assignments)
+        tell(
+            f"going on as the workspace was last run: --recipe {memory.recipe}{sets}. Give "
+            "--recipe to start from one alone"
+        )
+    return changed(memory, None, assignments)
+
+
+def _refuse_another_capture(space: Workspace) -> None:
+    """Refuse to turn the workspace of other photos into one of these.
+
+    Photos that were moved, added or taken out make no other capture: some are still the same.
+
+    Raises:
+        InputError: not one file is the same.
+    """
+    try:
+        before = Memory.read(space.root).photos
+    except CorruptError:
+        return
+    last = space.pipeline.last_fingerprint()
+    if before == space.memory.photos or last is None:
+        return
+    now = space.pipeline.fingerprint(space.source).files
+    if not set(now.values()) & set(last.files.values()):
+        raise InputError(
+            f"{printable(space.root)}: the workspace of other photos, {printable(before[0])}. "
+            "Give another with -w"
+        )
 
 
 def _with_recipe_name(settings: dict[str, Params], name: str) -> dict[str, Params]:
@@ -198,42 +249,7 @@ def _with_recipe_name(settings: dict[str, Params], name: str) -> dict[str, Param
     return settings | {"export": params.model_copy(update={"recipe": Path(name).stem})}
 
 
-def remembered(root: Path, name: str | None, assignments: Sequence[str]) -> Memory:
-    """What a workspace remembers, with another recipe or more settings.
-
-    Raises:
-        InputError: the folder is not a workspace.
-    """
-    memory = Memory.read(root)
-    if name is not None:
-        return Memory(memory.photos, absolute_recipe(name), tuple(assignments))
-    return Memory(memory.photos, memory.recipe, (*memory.assignments, *assignments))
-
-
-def absolute_recipe(name: str) -> str:
-    """A recipe's name, or the absolute path of a recipe file."""
-    return str(absolute(Path(name))) if name.endswith(".toml") else name
-
-
-def absolute(path: Path) -> Path:
-    """The path from the root of the file system; links in it stay what they are."""
-    return Path(os.path.normpath(Path.cwd() / path))
-
-
 def weight(path: Path) -> int:
     """The bytes of a file, or of all files in a folder."""
     files = [path] if path.is_file() else [file for file in path.rglob("*") if file.is_file()]
     return sum(file.stat().st_size for file in files)
-
-
-def _note(path: Path, root: Path) -> list[str]:
-    return [os.path.relpath(path, root), str(path)]
-
-
-def _find(entry: Sequence[str], root: Path) -> Path:
-    """The place of a noted path: beside the workspace as it was, else where it was."""
-    relative = absolute(root / entry[0])
-    with suppress(OSError):
-        if relative.exists():
-            return relative
-    return Path(entry[1])

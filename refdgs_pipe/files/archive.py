@@ -4,8 +4,10 @@ What a ZIP says of itself is not believed: no member may lie outside the folder,
 and no member may grow beyond the size that its entry states.
 """
 
+import errno
 import shutil
 import stat
+import struct
 import zipfile
 import zlib
 from pathlib import Path, PurePosixPath
@@ -13,6 +15,7 @@ from pathlib import Path, PurePosixPath
 from refdgs_pipe.errors import CaptureError, WriteError
 from refdgs_pipe.files.kinds import sniff
 from refdgs_pipe.formatting import printable, size
+from refdgs_pipe.trouble import raise_if_machine
 
 MAX_MEMBERS = 20_000
 MAX_BYTES = 64_000_000_000  # unpacked
@@ -54,6 +57,9 @@ def unpack_zip(path: Path, folder: Path) -> None:
             except (zipfile.BadZipFile, zlib.error, RuntimeError, EOFError) as error:
                 raise _refused(path, f"{member.filename} is damaged ({error})") from None
             except OSError as error:
+                raise_if_machine(error)
+                if error.errno in (errno.ENOSPC, errno.EDQUOT):
+                    raise
                 raise _refused(path, f"{member.filename}: {error.strerror}") from None
             if sniff(target) == "zip":
                 raise _refused(path, f"{member.filename} is a ZIP in the ZIP. Unpack it first")
@@ -64,7 +70,8 @@ def _members(path: Path) -> list[zipfile.ZipInfo]:
     try:
         with zipfile.ZipFile(path) as archive:
             infos = archive.infolist()
-    except (zipfile.BadZipFile, RuntimeError, OSError, ValueError) as error:
+    except (zipfile.BadZipFile, RuntimeError, OSError, ValueError, struct.error) as error:
+        raise_if_machine(error)
         raise _refused(path, f"damaged ({error}). Copy it again") from None
     if len(infos) > MAX_MEMBERS:
         raise _refused(path, f"{len(infos)} files; at most {MAX_MEMBERS} are read")
@@ -88,6 +95,10 @@ def _members(path: Path) -> list[zipfile.ZipInfo]:
 def _check(path: Path, info: zipfile.ZipInfo) -> None:
     """Refuse a member that leads elsewhere or cannot be read."""
     name = info.filename
+    if "\0" in info.orig_filename or "\0" in name:
+        raise _refused(path, f"{info.orig_filename} has a NUL in its name. Pack the folder again")
+    if not name:
+        raise _refused(path, "a file without a name is in it. Pack the folder again")
     plain = name.replace("\\", "/")
     if plain.startswith("/") or (len(plain) > 1 and plain[1] == ":"):
         raise _refused(path, f"{name} has an absolute path. Pack the folder again")

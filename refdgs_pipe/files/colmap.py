@@ -4,6 +4,7 @@ Format: https://colmap.github.io/format.html. Rigs and frames (COLMAP 4) repeat 
 say in images.*; they are not read and not written.
 """
 
+import os
 import struct
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +13,9 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from refdgs_pipe.documents import read_text
 from refdgs_pipe.errors import CorruptError
+from refdgs_pipe.trouble import raise_if_machine
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
@@ -39,6 +42,9 @@ _OPENCV_SLOTS: dict[str, tuple[int, ...]] = {
     "OPENCV": (0, 1, 2, 3),
     "FULL_OPENCV": (0, 1, 2, 3, 4, 5, 6, 7),
 }
+_MAX_TEXT = 4_000_000_000  # bytes
+_MAX_NAME = 4096  # bytes
+_MAX_SIDE = 1_000_000  # pixels
 _POINT2D = np.dtype([("xy", "<f8", 2), ("id", "<i8")])
 
 
@@ -84,10 +90,13 @@ def read_model(folder: Path) -> ColmapModel:
         if (folder / "cameras.bin").exists():
             return _read_binary(folder)
         return _read_text(folder)
-    except FileNotFoundError as error:
+    except (FileNotFoundError, NotADirectoryError) as error:
         raise CorruptError(f"{folder}: no COLMAP model ({error.filename} is missing)") from None
-    except (struct.error, ValueError, IndexError, KeyError, UnicodeDecodeError) as error:
+    except (struct.error, ValueError, IndexError, KeyError, OverflowError) as error:
         raise CorruptError(f"{folder}: damaged COLMAP model ({error})") from None
+    except OSError as error:
+        raise_if_machine(error)
+        raise CorruptError(f"{folder}: the model cannot be read ({error.strerror})") from None
 
 
 def write_model(folder: Path, model: ColmapModel, *, text: bool = False) -> None:
@@ -121,7 +130,9 @@ def _tracks(model: ColmapModel) -> dict[int, list[tuple[int, int]]]:
     tracks: dict[int, list[tuple[int, int]]] = {int(i): [] for i in model.point_ids}
     for image_id, image in model.images.items():
         for index in np.flatnonzero(image.point_ids >= 0):
-            tracks[int(image.point_ids[index])].append((image_id, int(index)))
+            track = tracks.get(int(image.point_ids[index]))
+            if track is not None:
+                track.append((image_id, int(index)))
     return tracks
 
 
@@ -129,18 +140,55 @@ def _take(file: BinaryIO, layout: str) -> tuple[Any, ...]:
     return struct.unpack("<" + layout, file.read(struct.calcsize("<" + layout)))
 
 
+def _counted(file: BinaryIO, least: int) -> int:
+    """A count of entries, each of at least so many bytes, that the rest of the file can hold.
+
+    Raises:
+        ValueError: it cannot.
+    """
+    count = int(_take(file, "Q")[0])
+    left = os.fstat(file.fileno()).st_size - file.tell()
+    if count * least > left:
+        raise ValueError(f"{Path(file.name).name} ends early: {count} entries in {left} bytes")
+    return count
+
+
+def _id32(text: str) -> int:
+    """An id as the binary form can have it.
+
+    Raises:
+        ValueError: it cannot.
+    """
+    number = int(text)
+    if not -(2**31) <= number < 2**31:
+        raise ValueError(f"{text[:20]} is no id")
+    return number
+
+
+def _index(number: int, what: str) -> int:
+    """An index as numpy has it.
+
+    Raises:
+        ValueError: it is negative.
+    """
+    if number < 0:
+        raise ValueError(f"{number} is no {what}")
+    return number
+
+
 def _read_binary(folder: Path) -> ColmapModel:
     cameras, images = {}, {}
     with (folder / "cameras.bin").open("rb") as file:
-        for _ in range(_take(file, "Q")[0]):
+        for _ in range(_counted(file, 24)):
             camera_id, model_id, width, height = _take(file, "iiQQ")
-            params = np.array(_take(file, "d" * _PARAM_COUNTS[model_id]))
+            params = np.array(_take(file, "d" * _PARAM_COUNTS[_index(model_id, "camera model")]))
+            _check_size(width, height)
             cameras[camera_id] = ColmapCamera(MODEL_NAMES[model_id], width, height, params)
     with (folder / "images.bin").open("rb") as file:
-        for _ in range(_take(file, "Q")[0]):
+        for _ in range(_counted(file, 73)):
             image_id, *pose, camera_id = _take(file, "i7di")
             name = _read_name(file)
-            count = _take(file, "Q")[0]
+            count = _counted(file, _POINT2D.itemsize)
             seen = np.frombuffer(file.read(count * _POINT2D.itemsize), _POINT2D, count)
             images[image_id] = ColmapImage(
                 np.array(pose[:4]),
@@ -152,21 +200,27 @@ def _read_binary(folder: Path) -> ColmapModel:
             )
     rows = []
     with (folder / "points3D.bin").open("rb") as file:
-        for _ in range(_take(file, "Q")[0]):
+        size = os.fstat(file.fileno()).st_size
+        for _ in range(_counted(file, 51)):
             row = _take(file, "Q3d3BdQ")
-            if len(file.read(8 * row[8])) != 8 * row[8]:
+            if file.seek(8 * row[8], os.SEEK_CUR) > size:
                 raise ValueError("points3D.bin ends early")
             rows.append(row[:8])
     return _model(cameras, images, rows)
 
 
 def _read_name(file: BinaryIO) -> str:
-    name = bytearray()
-    while (char := file.read(1)) != b"\0":
-        if not char:
-            raise ValueError("images.bin ends early")
-        name += char
+    start = file.tell()
+    name, end, _ = file.read(_MAX_NAME + 1).partition(b"\0")
+    if not end:
+        raise ValueError(f"images.bin ends early, or has a name of more than {_MAX_NAME} bytes")
+    file.seek(start + len(name) + 1)
     return name.decode("utf-8")
+
+
+def _check_size(width: int, height: int) -> None:
+    if not (0 < width <= _MAX_SIDE and 0 < height <= _MAX_SIDE):
+        raise ValueError(f"a camera of {width} x {height} pixels cannot be meant")
 
 
 def _model(
@@ -180,7 +234,7 @@ def _model(
 
 
 def _lines(path: Path) -> list[str]:
-    return [t for t in path.read_text(encoding="utf-8").splitlines() if not t.startswith("#")]
+    return [t for t in read_text(path, limit=_MAX_TEXT).splitlines() if not t.startswith("#")]
 
 
 def _read_text(folder: Path) -> ColmapModel:
@@ -190,16 +244,19 @@ def _read_text(folder: Path) -> ColmapModel:
         values = np.array(params, float)
         if len(values) != _PARAM_COUNTS[MODEL_NAMES.index(name)]:
             raise ValueError(f"camera {camera_id}: {name} has {len(values)} parameters")
-        cameras[int(camera_id)] = ColmapCamera(name, int(width), int(height), values)
+        _check_size(int(width), int(height))
+        cameras[_id32(camera_id)] = ColmapCamera(name, int(width), int(height), values)
     lines = _lines(folder / "images.txt")
     for pose, seen in zip(lines[::2], lines[1::2], strict=False):
         image_id, *numbers, camera_id, name = pose.split(" ", 9)
         values = np.array(numbers, float)
+        if len(values) != 7:
+            raise ValueError(f"image {image_id}: {len(values)} numbers, 7 expected")
         points = np.array(seen.split(), float).reshape(-1, 3)
-        images[int(image_id)] = ColmapImage(
+        images[_id32(image_id)] = ColmapImage(
             values[:4],
             values[4:],
-            int(camera_id),
+            _id32(camera_id),
             name.strip(),
             points[:, :2],
             points[:, 2].astype(np.int64),
@@ -207,7 +264,9 @@ def _read_text(folder: Path) -> ColmapModel:
     rows: list[tuple[Any, ...]] = []
     for line in filter(None, _lines(folder / "points3D.txt")):
         point_id, *rest = line.split()[:8]
-        rows.append((int(point_id), *map(float, rest)))
+        if len(rest) != 7:
+            raise ValueError(f"point {point_id}: {len(rest)} numbers, 7 expected")
+        rows.append((_index(int(point_id), "point id"), *map(float, rest)))
     return _model(cameras, images, rows)
 
 

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from refdgs_pipe.child_process import ChildCrashed, ChildTimeout, call_in_child
+from refdgs_pipe.child_process import ChildCrashed, ChildKilled, ChildTimeout, call_in_child
 from refdgs_pipe.errors import CaptureError
 from refdgs_pipe.formatting import printable
+from refdgs_pipe.trouble import raise_if_machine
 
 U8 = NDArray[np.uint8]
 
@@ -54,10 +55,13 @@ def read_heif(path: Path) -> tuple[U8, bytes | None]:
             "refdgs_pipe.files.heif:decode", {"path": path}, timeout_s=TIME_S
         )
     except (ChildCrashed, ChildTimeout) as error:
+        if isinstance(error, ChildKilled):
+            raise
         reason = str(error).partition("\n")[0].partition(":decode ")[2]
         text = f"{path.name}: the HEIC decoder {reason}. Export it as JPEG"
         raise CaptureError(printable(text)) from None
     except (RuntimeError, ValueError, OSError, EOFError, SyntaxError, MemoryError) as error:
+        raise_if_machine(error)
         text = f"{path.name}: damaged heic ({error}). Copy it again, or export it as JPEG"
         raise CaptureError(printable(text)) from None
     return pixels, profile

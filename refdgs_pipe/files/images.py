@@ -1,9 +1,10 @@
 """Image files <-> arrays. Formats are told by content, never by suffix."""
 
+import struct
 import threading
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -18,12 +19,20 @@ from refdgs_pipe.errors import CaptureError, CorruptError
 from refdgs_pipe.files.heif import heif_size, read_heif
 from refdgs_pipe.files.kinds import sniff
 from refdgs_pipe.formatting import printable
+from refdgs_pipe.trouble import raise_if_machine
 
 Pixels = NDArray[np.uint8] | NDArray[np.uint16]
 
 MAX_PIXELS = 300_000_000  # larger headers are refused before anything is decoded
 LARGE = 50_000_000  # pixels: such photos are decoded one at a time
+_MAX_PACKED = 200  # bytes of pixels for a byte of the file: photos pack ten times better at most
 Image.MAX_IMAGE_PIXELS = MAX_PIXELS
+# what Pillow and its plugins raise for damaged files
+_DAMAGE = (
+    *(OSError, SyntaxError, ValueError, KeyError, TypeError, IndexError, AttributeError),
+    *(OverflowError, ZeroDivisionError, AssertionError, EOFError, struct.error, cv2.error),
+    Image.DecompressionBombError,
+)
 _alone = threading.Lock()
 _PILLOW = {"jpeg": "JPEG", "png": "PNG", "webp": "WEBP", "tiff": "TIFF", "avif": "AVIF"}
 
@@ -52,10 +61,13 @@ def read_header(path: Path) -> Header:
             return _header(path, kind, *heif_size(path), 1)  # libheif turns it
         with _quiet(), _open(path, kind) as image:
             width, height = image.size
-            orientation = int(image.getexif().get(0x0112, 1))
+            # Pillow decodes a whole PNG to find EXIF behind the pixels
+            is_odd = _packs_oddly(width, height, path.stat().st_size)
+            orientation = 1 if is_odd else int(image.getexif().get(0x0112, 1))
             if kind == "tiff":  # Pillow turns TIFFs, and only these, by itself
                 width, height = (int(image.getexif()[tag]) for tag in (0x0100, 0x0101))
-    except (OSError, SyntaxError, ValueError, KeyError, Image.DecompressionBombError) as error:
+    except _DAMAGE as error:
+        raise_if_machine(error)
         raise CaptureError(_named(path, f"damaged {kind} header ({error})")) from None
     return _header(path, kind, width, height, orientation)
 
@@ -67,13 +79,16 @@ def _header(path: Path, kind: str, width: int, height: int, orientation: int) ->
     return Header(kind, width, height, orientation if 1 <= orientation <= 8 else 1)
 
 
-def read_photo(path: Path, *, upright: bool = True, side: int | None = None) -> Pixels:
+def read_photo(
+    path: Path, *, upright: bool = True, side: int | None = None, is_mask: bool = False
+) -> Pixels:
     """Decode a photo strictly.
 
     Args:
         upright: turn the pixels as the EXIF orientation asks.
         side: pixels that the long side needs; a JPEG of at least four times as many may come
             smaller than it is, with at least twice as many. None: as it is.
+        is_mask: plain areas are expected: it may pack better than any photo does.
 
     Returns:
         (H, W, 3 or 4) sRGB-encoded, uint8, or uint16 for a 16-bit PNG or TIFF.
@@ -86,6 +101,8 @@ def read_photo(path: Path, *, upright: bool = True, side: int | None = None) -> 
     if header.format == "jpeg" and data.rfind(b"\xff\xd9") < len(data) // 2:
         raise CaptureError(_named(path, "the JPEG ends early. Copy it again from the card"))
     is_large = header.width * header.height > LARGE
+    if not is_mask and _packs_oddly(header.width, header.height, len(data)):
+        raise CaptureError(_named(path, f"{len(data)} bytes cannot be a photo of this size"))
     try:
         with _alone if is_large else nullcontext():
             if header.format == "heic":
@@ -95,9 +112,15 @@ def read_photo(path: Path, *, upright: bool = True, side: int | None = None) -> 
             else:
                 del data
                 pixels = _decode(path, header, side)
-    except (OSError, SyntaxError, ValueError, cv2.error) as error:
+    except _DAMAGE as error:
+        raise_if_machine(error)
         raise CaptureError(_named(path, f"{error}. Copy it again from the card")) from None
     return orient(pixels, header.orientation) if upright else pixels
+
+
+def _packs_oddly(width: int, height: int, size: int) -> bool:
+    """Whether a large picture has fewer bytes than any photo of its size."""
+    return width * height > LARGE and 3 * width * height > _MAX_PACKED * size
 
 
 def orient(pixels: Pixels, orientation: int) -> Pixels:
@@ -122,12 +145,25 @@ def read_png(path: Path) -> Pixels:
     try:
         data = np.fromfile(path, np.uint8)
     except OSError as error:
+        raise_if_machine(error)
         raise CorruptError(f"{path}: {error.strerror}") from None
     image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) else None
     if image is None:
+        _could_hold(path)
         raise CorruptError(f"{path}: damaged PNG")
     out: Pixels = _rgb(image)
     return out
+
+
+def _could_hold(path: Path) -> None:
+    """OpenCV says of a picture that memory does not suffice for only that it is none.
+
+    Raises:
+        MemoryError: it does not suffice.
+    """
+    with suppress(CaptureError):
+        header = read_header(path)
+        np.empty(16 * header.width * header.height, np.uint8)
 
 
 def write_png(path: Path, pixels: Pixels) -> None:
@@ -177,6 +213,7 @@ def _decode_16bit(data: bytes, header: Header) -> Pixels:
     flags = cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION
     image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     if image is None:
+        np.empty(16 * header.width * header.height, np.uint8)  # OpenCV is silent about memory
         raise ValueError(f"damaged {header.format}")
     if image.dtype != np.uint16:
         raise ValueError(f"{image.dtype} samples are not read: export 8 or 16 bits")

@@ -7,6 +7,8 @@ import numpy as np
 
 from refdgs_pipe.errors import CorruptError
 from refdgs_pipe.files.ply import MeshData
+from refdgs_pipe.formatting import printable
+from refdgs_pipe.trouble import raise_if_machine
 
 
 def read_obj(path: Path) -> MeshData:
@@ -17,7 +19,12 @@ def read_obj(path: Path) -> MeshData:
     """
     vertices: list[list[float]] = []
     faces: list[tuple[int, int, int]] = []
-    for number, line in enumerate(path.read_text("utf-8", "replace").splitlines(), start=1):
+    try:
+        lines = path.read_text("utf-8", "replace").splitlines()
+    except OSError as error:
+        raise_if_machine(error)
+        raise CorruptError(f"{path.name}: cannot be read ({error.strerror})") from None
+    for number, line in enumerate(lines, start=1):
         kind, *values = line.split() or [""]
         try:
             if kind == "v":
@@ -28,9 +35,14 @@ def read_obj(path: Path) -> MeshData:
                 ids = [i - 1 if i > 0 else len(vertices) + i for i in corners]
                 faces += [(ids[0], b, c) for b, c in pairwise(ids[1:])]
         except (ValueError, IndexError):
-            raise CorruptError(f"{path.name}: line {number} is not understood: {line}") from None
-    positions = np.array(vertices, np.float32).reshape(-1, 3)
-    triangles = np.array(faces, np.int64).reshape(-1, 3)
+            shown = printable(line[:80])
+            raise CorruptError(f"{path.name}: line {number} is not understood: {shown}") from None
+    with np.errstate(over="ignore"):
+        positions = np.array(vertices, np.float32).reshape(-1, 3)
+    try:
+        triangles = np.array(faces, np.int64).reshape(-1, 3)
+    except OverflowError:
+        raise CorruptError(f"{path.name}: a face names a vertex that is not there") from None
     if not len(triangles) or not np.isfinite(positions).all():
         raise CorruptError(f"{path.name}: holds no faces, or vertices that are not finite")
     if triangles.min() < 0 or triangles.max() >= len(positions):

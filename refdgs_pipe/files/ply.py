@@ -1,15 +1,17 @@
 """PLY files: named columns per vertex, triangles, comments. Bytes <-> arrays, no meaning."""
 
 import re
+from array import array
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from refdgs_pipe.errors import CorruptError, ShapeError
+from refdgs_pipe.trouble import raise_if_machine
 
 # fmt: off
 _DTYPES = {
@@ -25,6 +27,7 @@ _NAMES = {"i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort", "i4": "int
 }
 _MAX_HEADER = 1 << 16
 _MAX_LIST = 255
+_LEAST = 3  # corners of a face
 
 
 @dataclass(frozen=True)
@@ -50,6 +53,29 @@ class MeshData:
     faces: NDArray[np.int32]
     normals: NDArray[np.float32] | None
     uv: NDArray[np.float32] | None
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Lists of different lengths: row i has lengths[i] numbers of `dtype` from starts[i] on."""
+
+    data: bytes
+    starts: NDArray[np.int64]
+    lengths: NDArray[np.int16]
+    dtype: np.dtype[Any]
+
+    def fans(self) -> NDArray[np.int32]:
+        """(F, 3) the triangles of all rows, in their order."""
+        ends = np.cumsum(self.lengths.astype(np.int64) - 2)
+        out = np.empty((int(ends[-1]) if len(ends) else 0, 3), np.int32)
+        raw = np.frombuffer(self.data, np.uint8)
+        for length in np.unique(self.lengths):
+            rows = np.flatnonzero(self.lengths == length)
+            places = self.starts[rows, None] + np.arange(length * self.dtype.itemsize)
+            polygons = np.ascontiguousarray(raw[places]).view(self.dtype)
+            targets = (ends[rows] - (length - 2))[:, None] + np.arange(length - 2)
+            out[targets] = _fans(polygons)
+        return out
 
 
 @dataclass(frozen=True)
@@ -110,6 +136,7 @@ def read_ply(path: Path) -> Ply:
     try:
         data = path.read_bytes()
     except OSError as error:
+        raise_if_machine(error)
         raise CorruptError(f"{path.name}: cannot be read ({error.strerror})") from error
     elements, comments, order, offset = _parse_header(path.name, data)
     columns: dict[str, NDArray[Any]] = {}
@@ -117,6 +144,8 @@ def read_ply(path: Path) -> Ply:
     for element in elements:
         values, offset = _read_element(path.name, data, offset, element, order)
         if element.name == "vertex":
+            if any(prop.count_dtype for prop in element.properties):
+                raise CorruptError(f"{path.name}: a vertex with a list cannot be meant")
             columns = values
         elif element.name == "face":
             faces = _triangles(path.name, values)
@@ -162,7 +191,8 @@ def read_mesh(path: Path) -> MeshData:
 def _stack(ply: Ply, names: Sequence[str]) -> NDArray[np.float32] | None:
     if any(name not in ply.columns for name in names):
         return None
-    return np.stack([ply.columns[name] for name in names], -1).astype(np.float32)
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.stack([ply.columns[name] for name in names], -1).astype(np.float32)
 
 
 def _parse_header(name: str, data: bytes) -> tuple[list[_Element], tuple[str, ...], str, int]:
@@ -178,9 +208,9 @@ def _parse_header(name: str, data: bytes) -> tuple[list[_Element], tuple[str, ..
                 order = {"binary_little_endian": "<", "binary_big_endian": ">"}.get(kind, "")
             case ["comment", *_]:
                 comments.append(line[len("comment") :].strip())
-            case ["element", element, count] if count.isdigit():
+            case ["element", element, count] if count.isdigit() and len(count) < 16:
                 elements.append(_Element(element, int(count), []))
-            case ["property", "list", n, kind, prop] if elements and _known(n, kind):
+            case ["property", "list", n, kind, prop] if elements and _counts(n) and _known(kind):
                 elements[-1].properties.append(_Property(prop, _DTYPES[kind], _DTYPES[n]))
             case ["property", kind, prop] if elements and _known(kind):
                 elements[-1].properties.append(_Property(prop, _DTYPES[kind], None))
@@ -195,6 +225,11 @@ def _parse_header(name: str, data: bytes) -> tuple[list[_Element], tuple[str, ..
 
 def _known(*kinds: str) -> bool:
     return all(kind in _DTYPES for kind in kinds)
+
+
+def _counts(kind: str) -> bool:
+    """Whether a type can say how long a list is."""
+    return _DTYPES.get(kind, "f")[0] != "f"
 
 
 def _read_element(
@@ -240,26 +275,42 @@ def _first_length(name: str, data: bytes, position: int, dtype: str) -> int:
 def _read_ragged(
     name: str, data: bytes, offset: int, element: _Element, order: str
 ) -> tuple[dict[str, Any], int]:
+    """Rows of different lengths: their starts and lengths, and the bytes that they lie in."""
     prop = element.properties[0]
     count_dtype, dtype = np.dtype(order + str(prop.count_dtype)), np.dtype(order + prop.dtype)
-    rows = []
+    head, size = count_dtype.itemsize, dtype.itemsize
+    if count_dtype.kind == "f" or element.count * (head + _LEAST * size) > len(data) - offset:
+        raise CorruptError(f"{name}: cut short or irregular in element {element.name!r}")
+    swap: Literal["little", "big"] = "little" if order == "<" else "big"
+    starts, lengths = array("q"), array("h")
     for _ in range(element.count):
-        length = _first_length(name, data, offset, count_dtype.str)
-        offset += count_dtype.itemsize
-        if offset + length * dtype.itemsize > len(data):
-            raise CorruptError(f"{name}: cut short in element {element.name!r}")
-        rows.append(np.frombuffer(data, dtype, length, offset))
-        offset += length * dtype.itemsize
-    return {prop.name: rows}, offset
+        length = int.from_bytes(data[offset : offset + head], swap)
+        offset += head
+        if not _LEAST <= length <= _MAX_LIST:
+            raise CorruptError(f"{name}: a face of {length} corners cannot be meant")
+        starts.append(offset)
+        lengths.append(length)
+        offset += length * size
+    if offset > len(data):
+        raise CorruptError(f"{name}: cut short in element {element.name!r}")
+    return {prop.name: _Rows(data, np.array(starts), np.array(lengths), dtype)}, offset
 
 
 def _triangles(name: str, values: dict[str, Any]) -> NDArray[np.int32]:
     polygons = values.get("vertex_indices", values.get("vertex_index"))
     if polygons is None:
         raise CorruptError(f"{name}: its faces have no vertex_indices")
-    if not len(polygons):
+    kind = polygons.dtype.kind
+    if kind not in "iu":
+        raise CorruptError(f"{name}: vertex_indices of its faces are no whole numbers")
+    if isinstance(polygons, _Rows):
+        return polygons.fans()
+    if not len(polygons) or polygons.ndim != 2 or polygons.shape[1] < 3:
         return np.empty((0, 3), np.int32)
-    if isinstance(polygons, np.ndarray) and polygons.shape[1] == 3:
-        return polygons.astype(np.int32)
-    fans = [(p[0], p[k], p[k + 1]) for p in polygons for k in range(1, len(p) - 1)]
-    return np.array(fans, np.int32).reshape(-1, 3)
+    return _fans(polygons).reshape(-1, 3)
+
+
+def _fans(polygons: NDArray[Any]) -> NDArray[np.int32]:
+    """(N, k - 2, 3) triangles of polygons (N, k)."""
+    first = np.broadcast_to(polygons[:, :1], (len(polygons), polygons.shape[1] - 2))
+    return np.stack([first, polygons[:, 1:-1], polygons[:, 2:]], -1).astype(np.int32)

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from refdgs_pipe.child_process import ChildCrashed, OnProgress, call_in_child
+from refdgs_pipe.child_process import ChildCrashed, ChildKilled, OnProgress, call_in_child
 from refdgs_pipe.errors import CaptureError
 from refdgs_pipe.files.images import MAX_PIXELS, write_png
 from refdgs_pipe.formatting import printable
@@ -59,6 +59,8 @@ def take_frames(
             "refdgs_pipe.imaging.films:pick_frames", arguments, stop=stop, on_progress=progress
         )
     except ChildCrashed as error:
+        if isinstance(error, ChildKilled):
+            raise
         reason = str(error).partition("\n")[0].partition(":pick_frames ")[2]
         raise CaptureError(printable(f"{path.name}: the video decoder {reason}")) from None
     except CaptureError as error:

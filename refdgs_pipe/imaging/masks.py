@@ -64,7 +64,7 @@ def read_mask(path: Path, *, inverted: bool = False) -> U8:
     Raises:
         CaptureError: not an image, or all black, or all white.
     """
-    pixels = _uint8(read_photo(path, upright=False))
+    pixels = _uint8(read_photo(path, upright=False, is_mask=True))
     gray = pixels[..., :3].max(axis=2)
     if pixels.shape[2] == 4 and gray.min() == gray.max():
         gray = pixels[..., 3]
@@ -81,7 +81,7 @@ def read_alpha(path: Path) -> U8:
     Raises:
         CaptureError: not an image, or all black, or all white.
     """
-    pixels = read_photo(path, upright=False)
+    pixels = read_photo(path, upright=False, is_mask=True)
     alpha = _uint8(pixels)[..., :3].max(axis=2)
     check_mask(alpha, path.name)
     return np.ascontiguousarray(alpha)
@@ -93,7 +93,7 @@ def read_depth_mask(path: Path) -> U8:
     Raises:
         CaptureError: not a 16-bit image, or all object, or none.
     """
-    pixels = read_photo(path, upright=False)
+    pixels = read_photo(path, upright=False, is_mask=True)
     if pixels.dtype != np.uint16:
         raise CaptureError(f"{path.name}: expected a 16-bit PNG, found 8 bits. Copy it again")
     depth = pixels[..., 0].astype(np.float32) / 65535 * NERO_DEPTH

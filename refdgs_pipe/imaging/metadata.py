@@ -10,6 +10,7 @@ import exifread
 
 from refdgs_pipe.artifacts.views import Exif
 from refdgs_pipe.files.kinds import sniff
+from refdgs_pipe.trouble import raise_if_machine
 
 SAME_SHAPE = 0.01  # of the ratio of sides
 SAME_SIZE = 0.03  # of the long side: RAW converters cut some pixels at the rim
@@ -24,7 +25,8 @@ def read_exif(path: Path) -> Exif:
     try:
         with _exif_of(path) as file:
             tags = exifread.process_file(file, details=False)
-    except Exception:  # exifread raises whatever a damaged block leads it to
+    except Exception as error:  # exifread raises whatever a damaged block leads it to
+        raise_if_machine(error)
         return Exif()
     return Exif(
         make=_text(tags, "Image Make"),

@@ -13,6 +13,7 @@ from refdgs_pipe.files.images import MAX_PIXELS
 from refdgs_pipe.files.kinds import RAW_SUFFIX, sniff
 from refdgs_pipe.files.tiff import is_raw_tiff
 from refdgs_pipe.formatting import printable
+from refdgs_pipe.trouble import raise_if_machine
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,8 @@ def is_raw(path: Path) -> bool:
     try:
         with path.open("rb") as file, rawpy.imread(file):
             return True
-    except rawpy.LibRawError:
+    except rawpy.LibRawError as error:
+        raise_if_machine(error)
         return kind == "raw"
 
 
@@ -54,7 +56,8 @@ def plan_development(photos: list[tuple[Path, Exif]]) -> Development:
                 balance = list(raw.camera_whitebalance)
                 usable = balance[0] > 0 and balance[1] > 0 and balance[2] > 0
                 balances.append(balance if usable else list(raw.daylight_whitebalance))
-        except rawpy.LibRawError:
+        except rawpy.LibRawError as error:
+            raise_if_machine(error)
             continue
     if not balances:
         return Development((1.0, 1.0, 1.0, 1.0), None)
@@ -89,6 +92,7 @@ def develop(path: Path, exif: Exif, plan: Development) -> NDArray[np.uint16]:
                 adjust_maximum_thr=0.0,  # otherwise white depends on the photo's content
             )
     except rawpy.LibRawError as error:
+        raise_if_machine(error)
         reason = error.args[0] if error.args else error
         text = reason.decode(errors="replace") if isinstance(reason, bytes) else str(reason)
         name = printable(path.name)

@@ -2,7 +2,6 @@
 
 import ctypes
 import errno
-import json
 import os
 import shutil
 import sys
@@ -11,26 +10,39 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+from refdgs_pipe.documents import write_json_text
 from refdgs_pipe.errors import RefdgsError, WriteError
+from refdgs_pipe.trouble import explained, raise_if_machine
 
 
 def write_json(path: Path, record: Any) -> None:
     """Replace a small file. Readers see the old record or the new one."""
-    write_text(path, json.dumps(record, indent=1, ensure_ascii=False) + "\n")
+    write_text(path, write_json_text(record) + "\n")
 
 
-def write_text(path: Path, text: str) -> None:
-    """Replace a small file. Readers see the old text or the new one."""
+def write_text(path: Path, text: str, *, durable: bool = True) -> None:
+    """Replace a small file. Readers see the old text or the new one; a link is replaced itself.
+
+    Args:
+        durable: wait until it is on the disk.
+    """
     temporary = path.with_name(f".{path.name}-{os.getpid()}")
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
     try:
-        temporary.write_text(text, "utf-8")
-        sync(temporary)
+        with suppress(FileNotFoundError):
+            temporary.unlink()
+        with os.fdopen(os.open(temporary, flags, 0o666), "wb") as file:
+            file.write(text.encode("utf-8", "backslashreplace"))
+            file.flush()
+            if durable:
+                os.fsync(file.fileno())
         temporary.replace(path)
     except OSError:
         with suppress(OSError):
             temporary.unlink()
         raise
-    sync(path.parent)
+    if durable:
+        sync(path.parent)
 
 
 def sync(path: Path) -> None:
@@ -74,14 +86,20 @@ def rescue(target: Path) -> None:
 
 def remove(path: Path) -> None:
     """Delete a file or folder, if it is there. It is renamed first: no reader meets half of it."""
-    trash = path.with_name(f".trash-{path.name.lstrip('.')}")
+    trash = path.with_name(f".trash-{path.name.lstrip('.').removeprefix('trash-')}")
     with suppress(FileNotFoundError):
-        shutil.rmtree(trash, ignore_errors=True)
-        path.rename(trash)
-        if trash.is_dir() and not trash.is_symlink():
-            shutil.rmtree(trash, ignore_errors=True)
-        else:
-            trash.unlink()
+        if path != trash:
+            _delete(trash)
+            path.rename(trash)
+        _delete(trash)
+
+
+def _delete(path: Path) -> None:
+    """Delete what is there: a folder with all in it, a file, or a link itself."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def _spare(target: Path) -> Path:
@@ -106,14 +124,18 @@ def disk_errors(root: Path) -> Iterator[None]:
 
     Raises:
         WriteError: the disk is full, read-only or forbidden.
+        DiskFault, OutOfMemory: the machine fails.
     """
     try:
         yield
     except RefdgsError:
         raise
     except Exception as error:
+        raise_if_machine(error)
         if message := _explain(error, root):
             raise WriteError(message) from error
+        if found := explained(error):
+            raise found from error
         raise
 
 

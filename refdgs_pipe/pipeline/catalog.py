@@ -3,9 +3,12 @@
 from collections.abc import Sequence
 from importlib import import_module
 
+from refdgs_pipe.pipeline.leftovers import PUBLISHED
 from refdgs_pipe.pipeline.plan import Pipeline
 from refdgs_pipe.pipeline.stage import Source, Stage
 from refdgs_pipe.pipeline.store import Store
+
+__all__ = ["PUBLISHED", "STAGES", "build", "load_stages", "source_type"]
 
 STAGES = (
     "ingest",
@@ -21,7 +24,6 @@ STAGES = (
     "export",
     "evaluate",
 )
-PUBLISHED = {"export": "asset"}  # stage -> the folder of the workspace that shows its result
 
 
 def load_stages(names: Sequence[str] = STAGES) -> list[Stage]:

@@ -1,15 +1,17 @@
 """Content hashes, and the memory that saves hashing unchanged photos again."""
 
 import hashlib
-import json
 import time
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from refdgs_pipe.documents import parse_json, read_text
 from refdgs_pipe.errors import CaptureError
+from refdgs_pipe.formatting import printable
 from refdgs_pipe.pipeline.atomic import write_json
+from refdgs_pipe.trouble import raise_if_machine
 
 # A file changed this shortly before it was hashed may change again without its times showing it.
 TOO_NEW_NS = 2_000_000_000
@@ -39,7 +41,7 @@ def hash_path(path: Path) -> str:
 def combine(files: Mapping[str, str]) -> str:
     """One hash of names and their contents' hashes, whatever their order."""
     text = "".join(f"{name} {content}\n" for name, content in sorted(files.items()))
-    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+    return hashlib.blake2b(text.encode("utf-8", "surrogateescape"), digest_size=16).hexdigest()
 
 
 def fingerprint(files: Iterable[tuple[str, Path]], memory: Path) -> Fingerprint:
@@ -61,7 +63,8 @@ def fingerprint(files: Iterable[tuple[str, Path]], memory: Path) -> Fingerprint:
             old = known.get(name, [])
             hashes[name] = str(old[3]) if old[:3] == facts else hash_file(path)
         except OSError as error:
-            raise CaptureError(f"{path}: cannot be read ({error.strerror})") from None
+            raise_if_machine(error)
+            raise CaptureError(f"{printable(path)}: cannot be read ({error.strerror})") from None
         if max(facts[1:]) < start - TOO_NEW_NS:
             fresh[name] = [*facts, hashes[name]]
     if fresh != known:
@@ -71,6 +74,12 @@ def fingerprint(files: Iterable[tuple[str, Path]], memory: Path) -> Fingerprint:
 
 
 def _read_memory(memory: Path) -> dict[str, list[int | str]]:
-    with suppress(OSError, ValueError, KeyError, TypeError):
-        return dict(json.loads(memory.read_text("utf-8"))["files"])
+    """What is known of files: size, two times and hash of each. The rest is left out."""
+    with suppress(OSError, ValueError, KeyError, TypeError, AttributeError):
+        files = parse_json(read_text(memory, follow=False))["files"]
+        return {name: facts for name, facts in files.items() if _is_known(facts)}
     return {}
+
+
+def _is_known(facts: object) -> bool:
+    return isinstance(facts, list) and len(facts) == 4 and isinstance(facts[3], str)

@@ -12,7 +12,7 @@ from refdgs_pipe.pipeline.atomic import disk_errors, remove
 from refdgs_pipe.pipeline.fingerprint import Fingerprint, fingerprint, hash_path
 from refdgs_pipe.pipeline.reasons import why
 from refdgs_pipe.pipeline.stage import Source, Stage
-from refdgs_pipe.pipeline.store import Manifest, Origin, Record, Store
+from refdgs_pipe.pipeline.store import Manifest, Origin, Record, Store, load
 
 Settings: TypeAlias = Mapping[str, Params]  # stage name -> parameters
 State: TypeAlias = Literal["up to date", "adopted", "missing", "stale", "damaged", "waiting"]
@@ -62,6 +62,11 @@ class Pipeline:
         names = " ".join(stage.name for stage in self.stages)
         raise InputError(f"no stage is called {name!r}. There are: {names}")
 
+    @property
+    def names(self) -> list[str]:
+        """The stages' names, in order."""
+        return [stage.name for stage in self.stages]
+
     def needed_for(self, name: str | None) -> list[Stage]:
         """A stage and all that it builds on, in order. None: every stage."""
         if name is None:
@@ -84,12 +89,16 @@ class Pipeline:
         """Hash the source; files with unchanged size and times are not read again."""
         return fingerprint(source.files(), self.store.root / SOURCE_MEMORY)
 
+    def forget_source(self) -> None:
+        """Read every file of the source anew the next time."""
+        (self.store.root / SOURCE_MEMORY).unlink(missing_ok=True)
+
     def last_fingerprint(self) -> Fingerprint | None:
         """The source as the last run saw it, for when it is not there any more."""
         last = self.store.current(self.stages[0].name)
         if last is None:
             return None
-        (digest,) = last.origin.inputs.values()
+        digest = next(iter(last.origin.inputs.values()), "")
         return Fingerprint(digest, last.source_files)
 
     def status(self, source: Fingerprint, settings: Settings) -> list[Step]:
@@ -148,11 +157,15 @@ class Pipeline:
         if not file.exists():
             raise InputError(f"{file}: no such file")
         with self.store.lock():
+            self.store.sweep(self.names)
             step = next(s for s in self.status(source, settings) if s.stage is stage)
             if step.origin is None:
                 raise InputError(f"{name} {step.reason}. Make that first, with `run`")
             origin = replace(step.origin, adopted=hash_path(file))
             artifact = read(file)
+            own = self.store.current(name)
+            if own is not None and (check := getattr(artifact, "placed_like", None)):
+                check(load(stage.output, self.store.check(own)))
             with disk_errors(self.store.root):
                 folder = self.store.partial(origin)
                 artifact.save(folder)
@@ -170,11 +183,12 @@ class Pipeline:
         wanted = [step.origin for step in self.status(source, settings)]
         last = [self.store.current(stage.name) for stage in self.stages]
         used = [manifest.origin for manifest in last if manifest]
-        return self.store.unused([*used, *(origin for origin in wanted if origin)])
+        return self.store.unused([*used, *(origin for origin in wanted if origin)], self.names)
 
     def clean(self, source: Fingerprint, settings: Settings) -> list[Path]:
         """Delete what is `unused`, and return it."""
         with self.store.lock(), disk_errors(self.store.root):
+            self.store.sweep(self.names)
             unused = self.unused(source, settings)
             for path in unused:
                 remove(path)

@@ -20,7 +20,7 @@ from refdgs_pipe.pipeline.events import (
 )
 from refdgs_pipe.pipeline.plan import Pipeline, Settings, Step
 from refdgs_pipe.pipeline.stage import Artifact, Job, Source, Stage
-from refdgs_pipe.pipeline.store import Manifest, Origin, Record, check_contents
+from refdgs_pipe.pipeline.store import Manifest, Origin, Record, load
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def run(
     request = request or Request()
     stages = pipeline.needed_for(request.until)
     with pipeline.store.lock():
-        pipeline.store.sweep()
+        pipeline.store.sweep(pipeline.names)
         work = _Run(pipeline, source, settings, emit, request)
         while True:
             work.done.clear()
@@ -90,8 +90,8 @@ class _Run:
         self.mark = pipeline.fingerprint(source)
         self.done: dict[type, Step] = {}
         self.to_force = set(request.force)
-        self.sound: set[str] = set()  # keys of results whose every byte was checked
         self.reported: set[str] = set()  # stages that the listeners have heard of
+        self.again: set[str] = set()  # keys of results that were set aside
         self.damages: dict[str, str] = {}  # stage -> what was wrong with its result
         self.device: str | None = None
 
@@ -120,6 +120,9 @@ class _Run:
 
     def set_aside(self, damage: _DamagedResult) -> None:
         """Move a damaged result out of the way, so that it is made again."""
+        if damage.origin.key in self.again:  # made anew and still not readable: a bug of the stage
+            raise CorruptError(f"{damage.origin.stage}: {damage}, though it was made again")
+        self.again.add(damage.origin.key)
         aside = self.store.set_aside(damage.origin)
         self.damages[damage.origin.stage] = f"damaged: {damage}"
         self.reported.discard(damage.origin.stage)
@@ -160,7 +163,6 @@ class _Run:
             except Exception:
                 remove(folder)
                 raise
-        self.sound.add(origin.key)
         self.to_force.discard(stage.name)
         self.reported.add(stage.name)
         self.emit(Finished(stage.name, manifest.seconds))
@@ -175,12 +177,8 @@ class _Run:
                 continue
             step = self.done[kind]
             assert step.origin is not None and step.manifest is not None
-            folder = self.store.folder(step.origin)
             try:
-                if step.origin.key not in self.sound:
-                    check_contents(folder, step.manifest)
-                    self.sound.add(step.origin.key)
-                inputs[name] = kind.load(folder)
+                inputs[name] = load(kind, self.store.check(step.manifest))
             except CorruptError as error:
                 raise _DamagedResult(step.origin, str(error)) from None
         return inputs
@@ -192,9 +190,12 @@ class _Run:
 
     def _publish(self, origin: Origin, manifest: Manifest, name: str) -> None:
         try:
-            self.store.publish(origin, manifest, name)
+            kept = self.store.publish(origin, manifest, name)
         except CorruptError as error:
             raise _DamagedResult(origin, str(error)) from None
+        if kept:
+            words = f"{name}/ held files that are not ours: the whole folder is kept as {kept}/"
+            self.emit(Warned(origin.stage, words))
 
 
 class _Listener:

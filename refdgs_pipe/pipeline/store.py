@@ -5,17 +5,18 @@ The key is a hash of the result's origin: the stage, its version, its parameters
 that the result can be reused.
 """
 
-import hashlib
-import json
-import os
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import replace
+from os import stat_result
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
-from refdgs_pipe.errors import CorruptError, WorkspaceBusy
+from refdgs_pipe.documents import parse_json, read_text
+from refdgs_pipe.errors import CorruptError, InputError, RefdgsError
+from refdgs_pipe.formatting import printable
+from refdgs_pipe.pipeline import leftovers
 from refdgs_pipe.pipeline.atomic import (
     disk_errors,
     publish,
@@ -24,82 +25,33 @@ from refdgs_pipe.pipeline.atomic import (
     sync,
     sync_tree,
     write_json,
+    write_text,
 )
-from refdgs_pipe.pipeline.fingerprint import combine, hash_file
+from refdgs_pipe.pipeline.fingerprint import hash_file
+from refdgs_pipe.pipeline.lock import locked
+from refdgs_pipe.pipeline.manifest import (
+    KEY,
+    MANIFEST,
+    MISSING,
+    Manifest,
+    Origin,
+    Record,
+    check_contents,
+    check_sizes,
+    digest_of,
+    visible,
+)
+from refdgs_pipe.pipeline.stage import Artifact
+from refdgs_pipe.trouble import raise_if_machine
 
-MANIFEST = "manifest.json"
+T = TypeVar("T", bound=Artifact)
+
+__all__ = ["MANIFEST", "Manifest", "Origin", "Record", "Store", "check_contents", "check_sizes"]
+
 CURRENT = ".current"  # the key that the last run used
 ADOPTED = ".adopted"  # which key a user's own file stands in for
 PUBLISHED = ".published"
-SCHEMA = 1  # raised when the layout of results changes
-
-
-@dataclass(frozen=True)
-class Origin:
-    """Everything a result depends on."""
-
-    stage: str
-    version: int
-    params: dict[str, Any]
-    inputs: dict[str, str]  # argument -> digest of the artifact
-    programs: dict[str, str] = field(default_factory=dict)  # distribution -> version
-    adopted: str | None = None  # digest of the user's file that replaces the stage's work
-    schema: int = SCHEMA
-
-    @property
-    def key(self) -> str:
-        text = json.dumps(asdict(self), sort_keys=True, separators=(",", ":"))
-        return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
-
-
-@dataclass(frozen=True)
-class Manifest:
-    """The record kept beside each result.
-
-    Args:
-        files: name -> (bytes, hash) of every file of the result.
-        source_files: name -> hash of the photos it was made from, for the stage that reads them.
-        measures: (name, value, unit) as the stage reported them.
-        note: where an adopted result came from.
-    """
-
-    origin: Origin
-    digest: str
-    seconds: float
-    made_utc: str
-    files: dict[str, tuple[int, str]]
-    source_files: dict[str, str]
-    measures: tuple[tuple[str, float | int | str, str], ...] = ()
-    warnings: tuple[str, ...] = ()
-    note: str = ""
-
-    @classmethod
-    def read(cls, folder: Path) -> "Manifest":
-        """Read the record of a result.
-
-        Raises:
-            CorruptError: it is missing or not one of ours.
-        """
-        try:
-            record = json.loads((folder / MANIFEST).read_text("utf-8"))
-            origin = Origin(**record.pop("origin"))
-            files = {name: (int(size), str(h)) for name, (size, h) in record.pop("files").items()}
-            measures = tuple((n, v, unit) for n, v, unit in record.pop("measures"))
-            warnings = tuple(record.pop("warnings"))
-            return cls(origin, files=files, measures=measures, warnings=warnings, **record)
-        except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
-            raise CorruptError(f"{folder / MANIFEST}: not readable ({error})") from None
-
-
-@dataclass(frozen=True)
-class Record:
-    """What a stage said about its result while making it."""
-
-    seconds: float
-    source_files: dict[str, str]
-    measures: tuple[tuple[str, float | int | str, str], ...] = ()
-    warnings: tuple[str, ...] = ()
-    note: str = ""
+_NOTE = 10_000  # bytes at most of one of our notes
 
 
 class Store:
@@ -108,10 +60,22 @@ class Store:
     def __init__(self, root: Path) -> None:
         self.root = root
         self._is_locked = False
+        self._sound: dict[Path, list[object]] = {}  # whole results, with their files' times
 
     def folder(self, origin: Origin) -> Path:
         """Where the result with this origin is, or would be."""
         return self.root / origin.stage / origin.key
+
+    def _stage(self, stage: str) -> Path:
+        """The folder of a stage's results, to write in.
+
+        Raises:
+            InputError: it is a link.
+        """
+        folder = self.root / stage
+        if folder.is_symlink():
+            raise InputError(f"{folder}: is a link. A workspace holds no links: move it back")
+        return folder
 
     def knows(self, origin: Origin) -> bool:
         """Whether a result with this origin is there, was begun, or is stood in for."""
@@ -131,32 +95,53 @@ class Store:
         check_sizes(folder, manifest)
         return manifest
 
+    def check(self, manifest: Manifest) -> Path:
+        """Compare a result with its record byte for byte, and return its folder.
+
+        What this process found whole is not read again while its files' times stay the same.
+
+        Raises:
+            CorruptError: it is damaged.
+        """
+        folder = self.folder(manifest.origin)
+        times = _times(folder, manifest)
+        if not times or self._sound.get(folder) != times:
+            check_contents(folder, manifest)
+            self._sound[folder] = _times(folder, manifest)
+        return folder
+
     def current(self, stage: str) -> Manifest | None:
         """The result of a stage that the last run used, whatever its origin; damaged ones aside."""
-        with suppress(OSError, CorruptError):
-            key = (self.root / stage / CURRENT).read_text("utf-8").strip()
-            return Manifest.read(self.root / stage / key)
+        with suppress(*MISSING, ValueError, CorruptError):
+            key = self._note(stage, CURRENT).strip()
+            if KEY.fullmatch(key):
+                return Manifest.read(self.root / stage / key)
         return None
 
     def use(self, origin: Origin) -> None:
         """Remember that this run uses this result."""
-        note = self.root / origin.stage / CURRENT
-        with suppress(OSError):
-            if note.read_text("utf-8") == origin.key:
+        with suppress(OSError, ValueError):
+            if self._note(origin.stage, CURRENT) == origin.key:
                 return
         with suppress(OSError):  # it only serves the words of `status`
-            note.write_text(origin.key, "utf-8")
+            write_text(self._stage(origin.stage) / CURRENT, origin.key, durable=False)
+
+    def _note(self, stage: str, name: str) -> str:
+        """One of our notes in a stage's folder; a link is none."""
+        return read_text(self.root / stage / name, limit=_NOTE, follow=False)
 
     def partial(self, origin: Origin) -> Path:
         """An empty folder to build a result in."""
-        folder = self.folder(origin).with_name(f".partial-{origin.key}")
+        folder = self._stage(origin.stage) / f".partial-{origin.key}"
         remove(folder)
         folder.mkdir(parents=True)
         return folder
 
     def scratch(self, origin: Origin) -> Path:
         """A folder that survives an interruption, so that a long stage can resume."""
-        folder = self._scratch(origin)
+        folder = self._stage(origin.stage) / self._scratch(origin).name
+        if folder.is_symlink():
+            raise InputError(f"{folder}: is a link. A workspace holds no links: delete it")
         folder.mkdir(parents=True, exist_ok=True)
         return folder
 
@@ -176,35 +161,39 @@ class Store:
                 path.relative_to(partial).as_posix(): (path.stat().st_size, hash_file(path))
                 for path in sorted(names)
             }
-            digest = combine({name: content for name, (_, content) in files.items()})
+            digest = digest_of(files)
             made = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
             manifest = Manifest(origin, digest, made_utc=made, files=files, **vars(record))
             sync_tree(partial)
-            write_json(partial / MANIFEST, asdict(manifest))
+            write_json(partial / MANIFEST, manifest.record())
             publish(partial, self.folder(origin))
+            self._sound[self.folder(origin)] = _times(self.folder(origin), manifest)
             sync(self.root)
             self.drop_scratch(origin)
         return manifest
 
-    def sweep(self) -> None:
-        """Delete what killed runs left half-made. Scratch stays: it is there to resume from."""
-        for pattern in ("*/.partial-*", "*/.trash-*", ".trash-*", ".new-*"):
-            for leftover in self.root.glob(pattern):
-                remove(leftover)
+    def sweep(self, stages: Iterable[str]) -> None:
+        """Delete what killed runs left half-made, of these stages and of published folders."""
+        with disk_errors(self.root):
+            leftovers.sweep(self.root, stages)
 
     def set_aside(self, origin: Origin) -> Path:
         """Move a damaged result out of the way, for the user to look at. Return where it went."""
-        folder = self.folder(origin)
-        aside = folder.with_name(f".damaged-{origin.key}")
+        return self.put_aside(self.folder(origin))
+
+    def put_aside(self, folder: Path) -> Path:
+        """`set_aside`, of a result whose record may not even be readable."""
+        aside = folder.with_name(f".damaged-{folder.name}")
         with disk_errors(self.root):
             remove(aside)
             folder.rename(aside)
+        self._sound.pop(folder, None)
         return aside
 
     def adoption(self, origin: Origin) -> Origin:
         """The origin that stands in for this one: a user's own file, or itself."""
-        with suppress(OSError, ValueError, KeyError, TypeError):
-            note = json.loads((self.root / origin.stage / ADOPTED).read_text("utf-8"))
+        with suppress(*MISSING, ValueError, KeyError, TypeError):
+            note = parse_json(self._note(origin.stage, ADOPTED))
             if note["key"] == origin.key:
                 return replace(origin, adopted=str(note["digest"]))
         return origin
@@ -214,20 +203,23 @@ class Store:
         plain = replace(origin, adopted=None)
         with disk_errors(self.root):
             write_json(
-                self.root / origin.stage / ADOPTED, {"key": plain.key, "digest": origin.adopted}
+                self._stage(origin.stage) / ADOPTED, {"key": plain.key, "digest": origin.adopted}
             )
 
     def drop_adoption(self, stage: str) -> bool:
         """Use the stage's own result again. False if there was no adopted one."""
         with disk_errors(self.root):
             try:
-                (self.root / stage / ADOPTED).unlink()
+                (self._stage(stage) / ADOPTED).unlink()
             except FileNotFoundError:
                 return False
         return True
 
-    def publish(self, origin: Origin, manifest: Manifest, name: str) -> Path:
+    def publish(self, origin: Origin, manifest: Manifest, name: str) -> str | None:
         """Let the folder `name` hold this result's files. A reader never sees half of them.
+
+        Returns:
+            Where the folder that was there is now, if it held files of the user's; else None.
 
         Raises:
             CorruptError: the result is damaged.
@@ -235,31 +227,54 @@ class Store:
         """
         target, memory = self.root / name, self.root / PUBLISHED
         identity = {"key": origin.key, "digest": manifest.digest}
+        known: dict[str, str] = {}
         with disk_errors(self.root):
             rescue(target)
-            with suppress(OSError, ValueError, TypeError, CorruptError):
-                if json.loads(memory.read_text("utf-8")) == identity:
-                    check_sizes(target, manifest)
-                    return target
-            check_contents(self.folder(origin), manifest)
-            new = target.with_name(f".new-{name}")
+            with suppress(*MISSING, ValueError, TypeError, KeyError, CorruptError):
+                last = parse_json(read_text(memory, follow=False))
+                known = dict(last.pop("files", {}))
+                if last == identity:
+                    check_contents(target, manifest)
+                    return None
+            source, new = self.check(manifest), target.with_name(f".new-{name}")
             remove(new)
             for file in manifest.files:
                 (new / file).parent.mkdir(parents=True, exist_ok=True)
-                (new / file).write_bytes((self.folder(origin) / file).read_bytes())
+                (new / file).write_bytes((source / file).read_bytes())
             sync_tree(new)
+            kept = self._keep_foreign(target, origin.stage, known)
             publish(new, target)
-            write_json(memory, identity)
-        return target
+            files = {file: content for file, (_, content) in manifest.files.items()}
+            write_json(memory, identity | {"files": files})
+        return kept
 
-    def unused(self, keep: Iterable[Origin]) -> list[Path]:
-        """Every result but those in `keep`, and all that dead runs left behind."""
+    def _keep_foreign(self, target: Path, stage: str, known: dict[str, str]) -> str | None:
+        """Move a published folder out of the way, if it holds what we did not put there.
+
+        Args:
+            known: name -> hash of what was last put there; a kill may have kept that from disk.
+        """
+        if not target.is_dir() or target.is_symlink() or not (there := visible(target)):
+            return None
+        found = {name: "" if _is_odd(target / name) else hash_file(target / name) for name in there}
+        if found.items() <= known.items():
+            return None
+        for folder in leftovers.results_in(self.root, [stage]):
+            with suppress(CorruptError):
+                made = {name: content for name, (_, content) in Manifest.read(folder).files.items()}
+                if found.items() <= made.items():
+                    return None
+        number, aside = 1, target.with_name(f"{target.name}.kept")
+        while aside.is_symlink() or aside.exists():
+            number += 1
+            aside = target.with_name(f"{target.name}.kept-{number}")
+        target.rename(aside)
+        return aside.name
+
+    def unused(self, keep: Iterable[Origin], stages: Iterable[str]) -> list[Path]:
+        """Every result of the stages but those in `keep`, and all that dead runs left behind."""
         kept = {path for origin in keep for path in (self.folder(origin), self._scratch(origin))}
-        stages = (path for path in self.root.iterdir() if path.is_dir() and path.name[0] != ".")
-        inside = (path for stage in stages for path in stage.iterdir() if path.is_dir())
-        ours = (path for path in inside if _is_ours(path))
-        leftovers = self.root.glob(".trash-*")
-        return sorted(path for path in [*ours, *leftovers] if path not in kept)
+        return [path for path in leftovers.ours_in(self.root, stages) if path not in kept]
 
     @contextmanager
     def lock(self) -> Iterator[None]:
@@ -269,62 +284,46 @@ class Store:
             WorkspaceBusy: another process holds it.
             WriteError: the workspace cannot be written.
         """
-        from filelock import FileLock, Timeout
-
         if self._is_locked:  # by our caller
             yield
             return
-        owner = self.root / ".lock-owner"
-        with disk_errors(self.root):
-            self.root.mkdir(parents=True, exist_ok=True)
-            lock = FileLock(self.root / ".lock", timeout=0)
+        with locked(self.root):
+            self._is_locked = True
             try:
-                lock.acquire()
-            except Timeout:
-                who = owner.read_text("utf-8") if owner.exists() else "another process"
-                raise WorkspaceBusy(
-                    f"{self.root}: {who} is working here. Wait for it, or stop it"
-                ) from None
-            owner.write_text(f"process {os.getpid()}", "utf-8")
-        self._is_locked = True
-        try:
-            yield
-        finally:
-            self._is_locked = False
-            lock.release()
+                yield
+            finally:
+                self._is_locked = False
 
     def _scratch(self, origin: Origin) -> Path:
         return self.folder(origin).with_name(f".scratch-{origin.key}")
 
 
-def check_sizes(folder: Path, manifest: Manifest) -> None:
-    """Compare a result's files with its record by size.
+def load(kind: type[T], folder: Path) -> T:
+    """Read an artifact. However its files were made, what cannot be read is damaged.
 
     Raises:
-        CorruptError: a file is missing or has another size.
+        CorruptError: it is damaged.
+        OutOfMemory, DiskFault: the machine fails.
     """
-    for name, (size, _) in manifest.files.items():
-        try:
-            found = (folder / name).stat().st_size
-        except OSError:
-            raise CorruptError(f"{folder / name}: missing") from None
-        if found != size:
-            raise CorruptError(f"{folder / name}: {found} bytes, {size} expected")
+    try:
+        return kind.load(folder)
+    except RefdgsError:
+        raise
+    except Exception as error:
+        raise_if_machine(error)
+        words = printable(f"{type(error).__name__}: {error}")
+        raise CorruptError(f"{folder}: cannot be read ({words})") from error
 
 
-def check_contents(folder: Path, manifest: Manifest) -> None:
-    """Compare a result's files with its record byte for byte.
-
-    Raises:
-        CorruptError: a file is missing or differs.
-    """
-    check_sizes(folder, manifest)
-    for name, (_, content) in manifest.files.items():
-        if hash_file(folder / name) != content:
-            raise CorruptError(f"{folder / name}: its content was changed since it was made")
+def _is_odd(path: Path) -> bool:
+    return path.is_symlink() or not path.is_file()
 
 
-def _is_ours(path: Path) -> bool:
-    """Whether a folder inside a stage's folder was made by the store."""
-    prefixes = (".partial-", ".scratch-", ".trash-", ".damaged-", ".old-")
-    return path.name.startswith(prefixes) or (path / MANIFEST).exists()
+def _times(folder: Path, manifest: Manifest) -> list[object]:
+    """What changes when a file of a result does; nothing if one cannot be looked at."""
+    try:
+        found: list[stat_result] = [(folder / name).lstat() for name in manifest.files]
+    except OSError:
+        return []
+    times = [(f.st_ino, f.st_size, f.st_mtime_ns, f.st_ctime_ns) for f in found]
+    return [*times, *visible(folder)]

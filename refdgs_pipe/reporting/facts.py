@@ -1,17 +1,18 @@
 """What a workspace holds, as the report needs it: each stage's result, and what the logs say."""
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
+from refdgs_pipe.artifacts.asset import Asset
 from refdgs_pipe.errors import InputError, RefdgsError
 from refdgs_pipe.pipeline.plan import Step
 from refdgs_pipe.pipeline.stage import Artifact
-from refdgs_pipe.pipeline.store import Manifest, Store
+from refdgs_pipe.pipeline.store import Manifest, Store, load
 
 T = TypeVar("T", bound=Artifact)
 
@@ -85,6 +86,7 @@ class Facts:
         changed: the `stage.key=value` that differ from the recipe.
         settings: stage -> setting -> value.
         draft: whether the recipe is meant for a first look.
+        check: raises CorruptError for a result whose files are not as they were written.
     """
 
     title: str
@@ -95,6 +97,7 @@ class Facts:
     notes: Notes
     private: tuple[str, ...] = field(default=(), repr=False)
     draft: bool = False
+    check: Callable[[Manifest], Path] | None = field(default=None, repr=False)
 
     def result(self, kind: type[Artifact]) -> Result | None:
         """The result of the stage that makes this kind, or None if it never ran."""
@@ -115,7 +118,7 @@ class Facts:
             InputError: there is none.
         """
         result = self.result(kind)
-        if result is None or result.folder is None:
+        if result is None or result.folder is None or result.manifest is None:
             raise InputError(f"no stage has made its {kind.__name__} yet")
         return result.folder
 
@@ -127,7 +130,10 @@ class Facts:
             CorruptError: it is damaged.
         """
         if kind not in self._loaded:
-            self._loaded[kind] = kind.load(self.folder(kind))
+            folder, result = self.folder(kind), self.result(kind)
+            if self.check and result and result.manifest and kind is not Asset:
+                self.check(result.manifest)  # of an asset the page tells file by file
+            self._loaded[kind] = load(kind, folder)
         found: T = self._loaded[kind]
         return found
 
@@ -177,6 +183,7 @@ def collect(
         results=tuple(results),
         notes=read_notes(store.root / "logs", results),
         private=tuple(places),
+        check=store.check,
         **about,
     )
 

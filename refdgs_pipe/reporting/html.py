@@ -3,6 +3,8 @@
 import html
 from typing import TypeAlias
 
+from refdgs_pipe.formatting import printable_lines
+
 Content: TypeAlias = "Html | str"
 _VOID = ("img", "input", "meta", "br", "path", "circle", "line", "rect", "polyline", "image")
 
@@ -32,7 +34,11 @@ def tag(name: str, /, *children: Content, **attributes: str | int | float | bool
 
 def joined(*children: Content) -> Html:
     """Several pieces after one another."""
-    return Html("".join(c if isinstance(c, Html) else html.escape(c) for c in children))
+    return Html("".join(c if isinstance(c, Html) else _escaped(c) for c in children))
+
+
+def _escaped(text: str) -> str:
+    return html.escape(printable_lines(text))
 
 
 def figure(picture: Content, caption: Content, **attributes: str | None) -> Html:

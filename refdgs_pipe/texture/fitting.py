@@ -57,7 +57,6 @@ def fit(
     lift: float,
     metal: bool,
     plan: Plan | None = None,
-    threads: int = 1,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Appearance:
     """The materials and the light under which the mesh looks as the field does.
@@ -66,11 +65,13 @@ def fit(
         light: (H, 2H, 3) first guess of the light, in any unit; H a multiple of 4.
         lift: how far above the surface rays start, world units.
         metal: whether there may be any.
-        threads: of torch; the result does not depend on it beyond rounding.
         progress: called with epochs done and in all.
+
+    It works on one thread: torch splits its sums by the number of threads, and sixty epochs make
+    roughness of the difference.
     """
     plan, before = plan or Plan(), torch.get_num_threads()
-    torch.set_num_threads(threads)
+    torch.set_num_threads(1)
     try:
         return _fitted(_Problem(mesh, samples, light, lift), plan, metal, progress)
     finally:

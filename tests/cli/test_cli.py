@@ -1,55 +1,16 @@
 """The command line, over small stages: what it prints, where, and how it ends."""
 
 import json
-import os
 import re
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 from typing import Any
 
 import pytest
+from shells import Shell
 
 from refdgs_pipe.cli.workspace import Memory, open_workspace
-
-FAKE_CLI = Path(__file__).parent.parent / "fake_cli.py"
-
-
-class Shell:
-    """Runs the command line in a folder with two letters."""
-
-    def __init__(self, root: Path) -> None:
-        self.root = root
-        self.letters = root / "letters"
-        self.letters.mkdir()
-        (self.letters / "a.txt").write_text("hello")
-        (self.letters / "b.txt").write_text("world")
-        self.work = root / "letters.refdgs"
-
-    def start(self, *arguments: str, **environment: str) -> subprocess.Popen[str]:
-        paths = os.pathsep.join(path for path in sys.path if path)
-        return subprocess.Popen(
-            [sys.executable, str(FAKE_CLI), *arguments],
-            cwd=self.root,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            env=os.environ | {"PYTHONPATH": paths, "COLUMNS": "100"} | environment,
-        )
-
-    def __call__(
-        self, *arguments: str, code: int = 0, **environment: str
-    ) -> subprocess.CompletedProcess[str]:
-        process = self.start(*arguments, **environment)
-        out, err = process.communicate(timeout=60)
-        assert process.returncode == code, out + err
-        assert "Traceback" not in out + err
-        return subprocess.CompletedProcess(process.args, process.returncode, out, err)
-
-    def json(self, *arguments: str, code: int = 0) -> Any:
-        return json.loads(self(*arguments, "--json", code=code).stdout)
 
 
 @pytest.fixture
@@ -351,7 +312,7 @@ def test_a_failed_run_leaves_a_report_that_says_so(shell: Shell) -> None:
     assert "error: no voice" in result.stderr
     text = (shell.work / "report.html").read_text()
     assert 'class="verdict failed"' in text and "no voice. Set shout.mood" in text
-    shell("run", "letters")
+    shell("run", "letters", "--set", "shout.mood=calm")
     assert 'class="verdict unjudged"' in (shell.work / "report.html").read_text()
 
 

@@ -1,5 +1,6 @@
 """HEIC, AVIF, TIFF, films, ZIPs, sub-folders, odd names and odd pictures: read, or said why not."""
 
+import errno
 import json
 import os
 import shutil
@@ -17,7 +18,7 @@ from PIL import Image
 
 from refdgs_pipe.artifacts.capture import Capture
 from refdgs_pipe.artifacts.views import Exif
-from refdgs_pipe.errors import CaptureError
+from refdgs_pipe.errors import CaptureError, DiskFault, OutOfMemory
 from refdgs_pipe.files import archive, heif
 from refdgs_pipe.files.images import read_photo, read_png
 from refdgs_pipe.files.kinds import sniff
@@ -398,3 +399,29 @@ def test_the_skulls_photos_give_a_right_focal_length_and_their_flash() -> None:
     exif = held_against(read_exif(path), *Image.open(path).size)
     assert exif.focal_fraction == pytest.approx(55 / 22.3, rel=0.035)
     assert exif.flash is True and (exif.exif_width, exif.exif_height) == (4272, 2848)
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        MemoryError(),
+        OSError(errno.ENOMEM, "no memory"),
+        OSError("out of memory error when reading image file"),
+        cv2.error("OpenCV: Failed to allocate 99 bytes in function 'OutOfMemoryError'"),
+        OSError(errno.EIO, "Input/output error"),
+    ],
+)
+def test_a_photo_is_never_skipped_because_the_machine_fails(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    from refdgs_pipe.files import images
+
+    write_photos(tmp_path / "photos", 4)
+
+    def fail(path: Path, *_: object) -> None:
+        if path.name == "IMG_2.jpg":
+            raise error
+
+    monkeypatch.setattr(images, "_is_16bit", fail)
+    with pytest.raises((MemoryError, OutOfMemory, DiskFault)):
+        Stages(tmp_path).ingest(tmp_path / "photos")

@@ -24,7 +24,8 @@ from stage_runs import FIELD, NO_MASKS, Run, model_of, show
 from refdgs_pipe.artifacts.mesh import Mesh, RawMesh, TriangleMesh, UvMesh
 from refdgs_pipe.artifacts.sparse_model import Ball
 from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
-from refdgs_pipe.errors import CorruptError, MeshError
+from refdgs_pipe.errors import CorruptError, InputError, MeshError
+from refdgs_pipe.export.frame import AssetFrame
 from refdgs_pipe.export.validate import glb_faults
 from refdgs_pipe.files.ply import write_mesh
 from refdgs_pipe.surface.topology import defects, pieces
@@ -126,3 +127,17 @@ def test_a_million_faces_are_brought_within_the_budget(run: Run) -> None:
     mesh: Mesh = run("clean", raw, FIELD, MODEL, outlines=0)
     assert 45_000 < len(mesh.faces) <= 50_000 and not defects(mesh).any
     assert np.abs(np.linalg.norm(mesh.vertices, axis=1) - 1).max() < 0.003
+
+
+def test_an_adopted_mesh_lies_where_the_one_it_replaces_does() -> None:
+    vertices = np.random.default_rng(0).random((50, 3)).astype(np.float32) * [1, 1, 1.6]
+    faces = np.array([[0, 1, 2]], np.int32)
+    before = Mesh(vertices.astype(np.float32), faces)
+    edited = Mesh((vertices + 0.05).astype(np.float32), faces)
+    edited.placed_like(before)
+    cut = Mesh(vertices[vertices[:, 2] < 0.8].astype(np.float32), faces)
+    cut.placed_like(before)
+    exported = AssetFrame.of(np.array([0.0, 0.0, 1.0]), 1.0).points(vertices)
+    for elsewhere in (exported, 0.1 * vertices):
+        with pytest.raises(InputError, match="Exported files are in metres"):
+            Mesh(elsewhere.astype(np.float32), faces).placed_like(before)

@@ -53,6 +53,28 @@ def test_a_mirror_is_metal_and_glossy_plastic_is_not(fitted: Appearance) -> None
     assert np.median(fitted.roughness[silver]) < 0.3
 
 
+def test_the_fit_does_not_depend_on_the_number_of_threads() -> None:
+    import torch
+
+    mesh, plan = two_balls(), Plan(epochs=(3, 2, 2, 2))
+    samples = samples_of(Scene((SILVER, PLASTIC), gradient_sky), mesh)
+    light, before = (0.1 * SKY).astype(np.float32), torch.get_num_threads()
+    found = []
+    try:
+        for threads in (1, 2, 3):
+            torch.set_num_threads(threads)
+            made = fit(mesh, samples, light, lift=0.01, metal=True, plan=plan)
+            found.append(made)
+            assert torch.get_num_threads() == threads
+    finally:
+        torch.set_num_threads(before)
+    for made in found[1:]:
+        assert made.environment is not None and found[0].environment is not None
+        assert made.roughness.tobytes() == found[0].roughness.tobytes()
+        assert made.metallic.tobytes() == found[0].metallic.tobytes()
+        assert made.environment.tobytes() == found[0].environment.tobytes()
+
+
 def test_a_metal_is_told_whose_mean_the_field_calls_diffuse() -> None:
     """As after training that weighs specular radiance: only what differs is mirrored."""
     samples = samples_of(Scene((SILVER, PLASTIC), gradient_sky), two_balls())
