@@ -10,7 +10,7 @@ from refdgs_pipe.masking.settings import MasksParams
 from refdgs_pipe.pipeline.stage import Job, stage
 
 
-@stage(version=12, programs=("opencv-contrib-python-headless", "scipy"))
+@stage(version=13, programs=("opencv-contrib-python-headless", "scipy"))
 def masks(views: Views, model: SparseModel, params: MasksParams, job: Job) -> Masks:
     """Tell the object from what it stands on and from the room, in all photos together."""
     import torch

@@ -27,13 +27,16 @@ COARSE = 0.07  # ball radii: wider patterns are left out of what is compared
 BLURS = (0.0, 0.017)  # ball radii, of the compared pictures: rough mirrors blur what they show
 FAINT = 0.03  # contrast of log brightness that tells nothing
 PLAIN = 0.01  # squared, of mixed second differences of log brightness that tell nothing
-ALIKE, BETTER = 0.6, 0.4  # correlation of a mirror image; more than with what other photos see
+ALIKE, BETTER = 0.6, 0.4  # correlation of a mirror image; more than `Wall.gain` is measured by
 EVEN = 0.4  # median correlation of the parts of a mirror image: it is like in most of them
 BLOCKS = 6  # parts along the line; there are two across
-ALONE = 0.75  # correlation of a mirror without another at a right angle or back to back
+# Correlation of a mirror without another at a right angle or back to back; more than elsewhere
+ALONE, ALONE_BETTER = 0.75, 0.55
 AMONG = 0.5  # correlation of a mirror with two others at a right angle or back to back
 SQUARE_ALIKE, SQUARE_BETTER = 0.4, 0.3  # the same beside a mirror at a right angle
 SQUARE = 0.08  # cosine or sine of the angle between mirrors that counts as right
+SHARED = 0.6  # correlation with what other photos see, from which on no mirror is between
+USUAL, LEAST_PLAIN = 0.95, 200  # share of such places that is less like its mirror image; least
 ON = 0.35  # correlation at which a mirror goes on, sideways and in depth
 MOST_DEEP = 0.8  # ball radii that a mirror image reaches
 APART = 0.1  # ball radii between parallel mirrors
@@ -48,7 +51,8 @@ class Wall:
         ends: from `middle` along the foot to where it ends.
         deep: how far behind it the mirror image seems to reach.
         likeness: correlation of the mirror image.
-        gain: how much that is above the correlation with what other photos see there.
+        gain: how much that is above the correlation with what other photos see there, and above
+            that of places of the plane where no mirror stands.
         even: median correlation of its parts. Two lines of print that cross are their own mirror
             image, and can make up all of the likeness.
     """
@@ -112,7 +116,7 @@ def _sure(walls: list[Wall]) -> list[Wall]:
     return [
         wall
         for wall in fair
-        if wall.likeness >= ALONE
+        if (wall.likeness >= ALONE and wall.gain >= ALONE_BETTER)
         or (wall in clear and any(_square(wall, other) for other in clear))
         or sum(_square(wall, other) for other in fair) >= 2
     ]
@@ -199,13 +203,16 @@ def _lines(pictures: list[F32], turn: float, size: _Sizes, step: float) -> list[
     front, other, *halves = (m[:, size.first : size.last] for m in mixed)
     back = np.linalg.inv(np.vstack([turned, [0, 0, 1]]))
     found = []
-    for row in range(size.first, size.last):
-        if row < size.deep or row + size.deep > n:
-            continue
+    rows = range(max(size.first, size.deep), min(size.last, n - size.deep + 1))
+    images, shared = np.zeros((2, len(rows), front.shape[1]), np.float32)
+    for k, row in enumerate(rows):
         outside = front[row : row + size.deep]
         inside, seen, *parts = (m[row - size.deep : row][::-1] for m in (front, other, *halves))
-        image = np.minimum(*(_alike(part, -outside, size.long) for part in parts))
-        gain = image - np.maximum(_alike(inside, seen, size.long), 0)
+        images[k] = np.minimum(*(_alike(part, -outside, size.long) for part in parts))
+        shared[k] = _alike(inside, seen, size.long)
+    usual = _usual(images, shared)
+    for row, image, also in zip(rows, images, shared, strict=True):
+        gain = image - np.maximum(also, usual)
         best = int(gain.argmax())
         if image[best] < SQUARE_ALIKE or gain[best] < SQUARE_BETTER:
             continue
@@ -217,11 +224,24 @@ def _lines(pictures: list[F32], turn: float, size: _Sizes, step: float) -> list[
         world = (place + 0.5 - n / 2) * step
         outward = _unit(turn)
         half = (right - left) / 2 * step
-        near = front[row - size.deep : row, left:right][::-1]
-        even = _evenly(near, -outside[:, left:right])
+        near, outside = front[row - size.deep : row][::-1], front[row : row + size.deep]
+        even = _evenly(near[:, left:right], -outside[:, left:right])
         figures = (float(image[best]), float(gain[best]), even)
         found.append(Wall(world, outward, (-half, half), deep * step, *figures))
     return found
+
+
+def _usual(images: F32, shared: F32) -> float:
+    """How like their mirror images places of the plane are where no mirror stands.
+
+    Tiles and checks are their own mirror images, and look like a mirror wherever one photo alone
+    shows them.
+
+    Args:
+        images: (R, W) correlation of mirror images; shared: (R, W) of what other photos see there.
+    """
+    plain = images[shared >= SHARED]
+    return max(0.0, float(np.quantile(plain, USUAL))) if len(plain) >= LEAST_PLAIN else 0.0
 
 
 def _alike(one: F32, other: F32, long: int) -> F32:

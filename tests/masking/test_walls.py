@@ -27,6 +27,11 @@ def printed(at: np.ndarray, kind: str) -> np.ndarray:
         return np.asarray(0.3 * np.sign(np.sin(40 * at[..., 0])))
     if kind == "squares":
         return np.asarray(0.3 * np.sign(np.sin(25 * at[..., 0]) * np.sin(25 * at[..., 1])))
+    if kind == "tiles":  # of many colours, turned as the box is: grout is its own mirror image
+        own = at @ AXES.T / 0.2
+        tone = np.random.default_rng(2).normal(0, 0.1, (40, 40))
+        column, row = (np.floor(own).astype(int) + 20).clip(0, 39).transpose(2, 0, 1)
+        return np.where((own % 1 < 0.25).any(-1), 0.5, tone[row, column])
     blots = np.random.default_rng(1).normal(0, 0.3, (160, 160)).astype(np.float32)
     index = ((at / REACH / 2 + 0.5) * 160).astype(np.float32)
     return cv2.remap(blots, index[..., 0], index[..., 1], cv2.INTER_CUBIC)
@@ -84,7 +89,7 @@ def test_the_four_walls_of_a_mirror_box_are_found() -> None:
     assert (covered & ~inside).sum() < 0.08 * inside.sum()
 
 
-@pytest.mark.parametrize("kind", ["blots", "stripes", "squares"])
+@pytest.mark.parametrize("kind", ["blots", "stripes", "squares", "tiles"])
 def test_an_object_that_mirrors_nothing_has_no_walls(kind: str) -> None:
     seen, centers = capture(mirror=False, kind=kind)
     assert mirror_walls(table(), seen, centers, 1.0) == []
