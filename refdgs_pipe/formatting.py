@@ -1,5 +1,7 @@
 """Figures in words, the same on the terminal and in the report."""
 
+from collections.abc import Iterable, Sequence
+
 # line and paragraph separators, marks of direction, the byte order mark
 _UNSEEN = {*range(0x200E, 0x2010), *range(0x2028, 0x202F), *range(0x2066, 0x206A), 0xFEFF, 0x061C}
 
@@ -14,6 +16,55 @@ def duration(seconds: float) -> str:
     if whole < 3600:
         return f"{whole // 60} min {whole % 60} s" if whole % 60 else f"{whole // 60} min"
     return f"{whole // 3600} h {whole % 3600 // 60} min"
+
+
+def roughly(seconds: float) -> str:
+    """A time that is only estimated, coarse: "some seconds", "about 40 s", "about 3 min"."""
+    if seconds < 8:
+        return "some seconds"
+    if seconds < 55:
+        return f"about {max(10, round(seconds / 10) * 10)} s"
+    minutes = seconds / 60
+    if minutes < 87.5:
+        step = 1 if minutes < 19.5 else 5
+        return f"about {max(1, round(minutes / step) * step)} min"
+    hours = minutes / 60
+    return f"about {hours:.1f} h" if hours < 9.95 else f"about {hours:.0f} h"
+
+
+def about_room(count: int) -> str:
+    """Bytes that are only roughly known: "about 190 MB", "about 2.3 GB"."""
+    if count < 995_000_000:
+        return f"about {round(count / 1e7) * 10} MB"
+    return f"about {count / 1e9:.1f} GB"
+
+
+def aligned(rows: Sequence[Sequence[str]], *, before: str = "", gap: str = "  ") -> list[str]:
+    """Rows of words as lines whose columns line up; the last column is not padded."""
+    columns = max((len(row) for row in rows), default=0)
+    widths = [max(len(row[i]) for row in rows if len(row) > i) for i in range(columns)]
+    lines = []
+    for row in rows:
+        padded = [f"{word:{width}}" for word, width in zip(row, widths, strict=False)]
+        lines.append((before + gap.join(padded)).rstrip())
+    return lines
+
+
+def merged(texts: Iterable[str]) -> list[str]:
+    """One sentence for texts that differ only in a leading "NAME: ": "a.jpg and 19 more: dark"."""
+    groups: dict[tuple[bool, str], list[str]] = {}
+    for text in texts:
+        name, colon, rest = text.partition(": ")
+        is_named = bool(colon) and " " not in name
+        groups.setdefault((is_named, rest if is_named else text), []).append(name)
+    said = []
+    for (is_named, text), names in groups.items():
+        more = len(names) - 1
+        if is_named:
+            said.append(f"{names[0]}{f' and {more} more' if more else ''}: {text}")
+        else:
+            said.append(f"{text} ({len(names)} times)" if more else text)
+    return said
 
 
 def size(count: int) -> str:

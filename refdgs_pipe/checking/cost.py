@@ -4,8 +4,9 @@ Core-seconds, from the runs in docs/training.md, "Whole runs" and "Photos withou
 docs/performance.md, "Whole steps". They were measured on cores with AVX-512; others take longer.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, TypeAlias
 
 from refdgs_pipe.checking.look import Look
 
@@ -16,14 +17,23 @@ READ_MPX_S = 0.02  # to read a megapixel of a photo
 FEATURE_MPX_S, PAIR_S, PLACE_S = 1.0, 0.05, 0.5  # for a megapixel, a pair, a photo
 EXHAUSTIVE_UP_TO, PARTNERS = 150, 15  # photos; each photo's partners above
 SURFACE_S, TEXEL_S = 120.0, 15e-6  # mesh and materials; a texel of the textures
+GATE_S, MASK_S = 8.0, 4.0  # to check the cameras; to find the object in a photo
+START_S = 30.0  # to find a first shape, without masks
+_SURFACE_SHARES = {
+    "extract": 0.08,
+    "clean": 0.12,
+    "appearance": 0.45,
+    "unwrap": 0.08,
+    "bake": 0.15,
+    "export": 0.04,
+    "evaluate": 0.08,
+}
+_TRAINED = ("start", "train", "shape", "refine")  # stages of training, as far as there are any
 SHARED = 0.93  # of a core's work that each further core adds
 PNG_BYTES, FIXED_BYTES = 2.0, 150e6  # of a pixel; surfels, meshes, textures and files
 
 
-class Settings(Protocol):
-    """A recipe's settings: stage -> its parameters."""
-
-    def __getitem__(self, stage: str, /) -> Any: ...
+Settings: TypeAlias = Mapping[str, Any]  # stage -> its parameters
 
 
 @dataclass(frozen=True)
@@ -41,26 +51,78 @@ class Cost:
     bytes: int
 
 
+@dataclass(frozen=True)
+class Capture:
+    """What a run's time goes with.
+
+    Args:
+        photos: how many; megapixels: of each, None: not known; shape: short side by long side.
+        is_known: their places came with them; has_masks: their masks did.
+    """
+
+    photos: int
+    megapixels: float | None
+    shape: float
+    is_known: bool
+    has_masks: bool
+
+
 def cost(look: Look, recipe: str, about: str, settings: Settings, *, cores: int) -> Cost:
     """What a recipe takes for the photos of a look."""
     assert look.views is not None
-    count = len(look.views.items)
-    shape = _shape(look)
-    work = count * (look.megapixels or 1.0) * READ_MPX_S
-    if not look.is_known:
-        work += _placing(count, _pixels(shape, settings["sfm"].max_side, look.megapixels))
-    train, bake = settings["train"], settings["bake"]
-    pixels = _pixels(shape, min(train.max_side, settings["ingest"].max_side), look.megapixels)
-    step = STEP_S + STEP_MPX_S * pixels
-    step *= max(train.max_surfels / SURFELS, 0.25) * (1.0 if train.reflection else PLAIN)
-    work += train.iterations * step
-    work += SURFACE_S + bake.size**2 * TEXEL_S
-    kept = _pixels(shape, settings["ingest"].max_side, look.megapixels)
-    placing = settings["ingest"].placing_side
-    if not look.is_known and placing > settings["ingest"].max_side:
-        kept += _pixels(shape, placing, look.megapixels)
-    room = round(count * kept * 1e6 * PNG_BYTES + FIXED_BYTES)
-    return Cost(recipe, about, work, work / (1 + SHARED * (max(cores, 1) - 1)), round(room, -6))
+    masked = look.views.background != "photo"
+    size = Capture(
+        len(look.views.items), look.megapixels, _shape(look), look.is_known, has_masks=masked
+    )
+    work = sum(works(size, settings).values())
+    return Cost(recipe, about, work, seconds_of(work, cores), room(size, settings))
+
+
+def seconds_of(core_seconds: float, cores: int) -> float:
+    """How long work takes on so many cores."""
+    return core_seconds / (1 + SHARED * (max(cores, 1) - 1))
+
+
+def room(size: Capture, settings: Settings) -> int:
+    """Bytes of the workspace."""
+    ingest = settings["ingest"]
+    kept = _pixels(size.shape, ingest.max_side, size.megapixels)
+    if not size.is_known and ingest.placing_side > ingest.max_side:
+        kept += _pixels(size.shape, ingest.placing_side, size.megapixels)
+    return round(round(size.photos * kept * 1e6 * PNG_BYTES + FIXED_BYTES), -6)
+
+
+def works(size: Capture, settings: Settings) -> dict[str, float]:
+    """Stage -> core-seconds. A stage that is not named takes next to none."""
+    count = size.photos
+    work = {"ingest": 1.0 + count * (size.megapixels or 1.0) * READ_MPX_S}
+    if not size.is_known:
+        pixels = _pixels(size.shape, settings["sfm"].max_side, size.megapixels)
+        work["sfm"] = _placing(count, pixels)
+    work["gate"] = 1.0 if size.is_known else GATE_S
+    if not size.has_masks:
+        work["masks"] = count * MASK_S
+    work |= _training(size, settings)
+    work |= {stage: SURFACE_S * share for stage, share in _SURFACE_SHARES.items()}
+    work["bake"] += settings["bake"].size ** 2 * TEXEL_S
+    return work
+
+
+def _training(size: Capture, settings: Settings) -> dict[str, float]:
+    """Core-seconds of the stages of training, whether it is one stage or several."""
+
+    def of(name: str) -> Any:
+        groups = (settings[stage] for stage in _TRAINED if stage in settings)
+        return next(getattr(group, name) for group in groups if hasattr(group, name))
+
+    side = min(of("max_side"), settings["ingest"].max_side)
+    step = STEP_S + STEP_MPX_S * _pixels(size.shape, side, size.megapixels)
+    step *= max(of("max_surfels") / SURFELS, 0.25) * (1.0 if of("reflection") else PLAIN)
+    whole, start = of("iterations") * step, 0.0 if size.has_masks else START_S
+    if "refine" not in settings:
+        return {"train": start + whole}
+    before = min(of("renew_at"), 1.0)
+    return {"start": start, "train": whole * before, "refine": whole * (1.0 - before)}
 
 
 def _placing(count: int, pixels: float) -> float:

@@ -7,48 +7,58 @@ from typing import Annotated, Any
 import typer
 
 from refdgs_pipe import __version__, recipe
-from refdgs_pipe.cli import mask_model
+from refdgs_pipe.cli import completion, mask_model
 from refdgs_pipe.cli import workspace as spaces
 from refdgs_pipe.cli.check import check_command
 from refdgs_pipe.cli.device import bytes_of, check_device
+from refdgs_pipe.cli.doctor import doctor_command
 from refdgs_pipe.cli.ending import end_with
 from refdgs_pipe.cli.mat import mat_command
-from refdgs_pipe.cli.running import Options, make, print_plan, steps_json, within
+from refdgs_pipe.cli.options import (
+    Assignments,
+    CudaGraph,
+    Device,
+    DryRun,
+    Folder,
+    Force,
+    From,
+    Json,
+    Quiet,
+    RecipeArgument,
+    RecipeName,
+    Stage,
+    Strict,
+    Threads,
+    Until,
+    Verbose,
+    Verify,
+    Vram,
+)
+from refdgs_pipe.cli.running import Options, make, print_plan, within
+from refdgs_pipe.cli.status import status_command
 from refdgs_pipe.cli.verify import make_sound
 from refdgs_pipe.documents import write_json_text
 from refdgs_pipe.errors import InputError
-from refdgs_pipe.formatting import duration, printable, size
+from refdgs_pipe.formatting import aligned, printable, size
 
 HELP = "Photos of a glossy object in, a textured GLB and USDZ out."
 
-app = typer.Typer(
-    help=HELP, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None
-)
-recipes = typer.Typer(help="Look at recipes.", no_args_is_help=True, rich_markup_mode=None)
-app.add_typer(recipes, name="recipe")
-app.command("mat")(mat_command)
+HELP_OPTIONS = {"help_option_names": ["-h", "--help"]}
 
-Folder = Annotated[Path, typer.Argument(help="the folder that `run` made", metavar="WORKSPACE")]
-RecipeName = Annotated[
-    str | None, typer.Option("--recipe", help="a recipe's name, or a TOML file", metavar="NAME")
-]
-Assignments = Annotated[
-    list[str] | None,
-    typer.Option("--set", help="change one setting; may be repeated", metavar="STAGE.KEY=VALUE"),
-]
-Json = Annotated[bool, typer.Option("--json", help="print one JSON object on stdout")]
-Device = Annotated[str, typer.Option("--device", help="auto, cpu or cuda")]
-Threads = Annotated[int, typer.Option("--threads", min=0, help="CPU threads; 0: every core")]
-Vram = Annotated[str, typer.Option("--vram", help="GPU memory to keep within", metavar="8GB")]
-CudaGraph = Annotated[
-    bool | None,
-    typer.Option("--cuda-graph/--no-cuda-graph", help="repeat recorded GPU steps [if equal]"),
-]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="only warnings and errors")]
-Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="every measured figure too")]
-Strict = Annotated[bool, typer.Option("--strict", help="exit with 3 on warnings or a poor verdict")]
-Verify = Annotated[bool, typer.Option("--verify", help="first compare every file with its record")]
-DryRun = Annotated[bool, typer.Option("--dry-run", help="only say what would be done")]
+app = typer.Typer(
+    help=HELP,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings=HELP_OPTIONS,
+)
+recipes = typer.Typer(
+    help="Look at recipes.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    context_settings=HELP_OPTIONS,
+)
+app.add_typer(recipes, name="recipe")
 
 
 @app.callback(invoke_without_command=True)
@@ -72,16 +82,9 @@ def run_command(
     ] = None,
     recipe_name: RecipeName = None,
     assignments: Assignments = None,
-    until: Annotated[
-        str | None, typer.Option("--until", help="make this and what it needs", metavar="STAGE")
-    ] = None,
-    start: Annotated[
-        str | None,
-        typer.Option("--from", help="make this and what follows again", metavar="STAGE"),
-    ] = None,
-    force: Annotated[
-        list[str] | None, typer.Option("--force", help="make this again", metavar="STAGE")
-    ] = None,
+    until: Until = None,
+    start: From = None,
+    force: Force = None,
     longest: Annotated[
         float | None, typer.Option("--size", help="the object's longest side in metres")
     ] = None,
@@ -123,12 +126,13 @@ def run_command(
 
 
 app.command("check")(check_command)
+app.command("mat")(mat_command)
 
 
 @app.command("rerun")
 def rerun_command(
     workspace: Folder,
-    stage: Annotated[str, typer.Argument(help="the stage to make again", metavar="STAGE")],
+    stage: Stage,
     device: Device = "auto",
     vram: Vram = "",
     cuda_graph: CudaGraph = None,
@@ -146,28 +150,7 @@ def rerun_command(
     raise typer.Exit(make(space, Options(None, again, *how)))
 
 
-@app.command("status")
-def status_command(
-    workspace: Folder,
-    recipe_name: RecipeName = None,
-    assignments: Assignments = None,
-    as_json: Json = False,
-) -> None:
-    """Say of every stage whether it is up to date, and if not, why."""
-    memory = spaces.remembered(workspace, recipe_name, assignments or [])
-    space = spaces.open_workspace(workspace, memory)
-    steps = space.status()
-    if as_json:
-        photos = [str(p) for p in memory.photos]
-        head = {"workspace": str(workspace), "photos": photos, "recipe": memory.recipe}
-        _print_json(head | {"set": memory.assignments, "stages": steps_json(steps, space)})
-        return
-    for step in steps:
-        word = {"up to date": "", "adopted": ""}.get(step.state, f"{step.state}  ")
-        took = f"  ({duration(step.manifest.seconds)})" if step.manifest else ""
-        print(printable(f"{step.stage.name:9} {word}{step.reason}{took}"))
-        for warning in step.manifest.warnings if step.manifest else ():
-            print(printable(f"{'':9} warning: {warning}"))
+app.command("status")(status_command)
 
 
 @app.command("verify")
@@ -184,7 +167,7 @@ def verify_command(workspace: Folder, as_json: Json = False) -> None:
 
 
 @app.command("path")
-def path_command(workspace: Folder, stage: str) -> None:
+def path_command(workspace: Folder, stage: Stage) -> None:
     """Print the folder of a stage's current result."""
     print(spaces.open_workspace(workspace).result(stage)[1])
 
@@ -210,7 +193,12 @@ def clean_command(workspace: Folder, dry_run: DryRun = False, as_json: Json = Fa
 @app.command("adopt")
 def adopt_command(
     workspace: Folder,
-    stage: Annotated[str, typer.Argument(help="a stage, or what it makes, such as mesh")],
+    stage: Annotated[
+        str,
+        typer.Argument(
+            help="a stage, or what it makes, such as mesh", autocompletion=completion.stages
+        ),
+    ],
     file: Annotated[Path | None, typer.Argument(help="your file")] = None,
     drop: Annotated[bool, typer.Option("--drop", help="use the stage's own result again")] = False,
 ) -> None:
@@ -292,7 +280,13 @@ def bench_command(
     scenes: Annotated[list[Path], typer.Argument(help="captures, as `run` takes them")],
     out: Annotated[Path, typer.Option("--out", help="where all goes", metavar="DIR")],
     recipes_wanted: Annotated[
-        str, typer.Option("--recipes", help="recipes with commas between", metavar="A,B")
+        str,
+        typer.Option(
+            "--recipes",
+            help="recipes with commas between",
+            metavar="A,B",
+            autocompletion=completion.recipe_lists,
+        ),
     ] = recipe.DEFAULT,
     seeds: Annotated[
         str, typer.Option("--seeds", help="seeds with commas between", metavar="0,1")
@@ -320,32 +314,31 @@ def bench_command(
     raise typer.Exit(next((row.exit_code for row in rows if row.status == "failed"), 0))
 
 
-@app.command("doctor")
-def doctor_command(as_json: Json = False) -> None:
-    """Check this machine and the installation; one fix for each problem."""
-    from refdgs_pipe.cli.doctor import examine
-
-    findings = examine()
-    if as_json:
-        _print_json([vars(finding) for finding in findings])
-    else:
-        for finding in findings:
-            print(f"{'ok  ' if finding.ok else 'BAD '} {finding.name}: {finding.text}")
-            if finding.fix:
-                print(f"     {finding.fix}")
-    raise typer.Exit(0 if all(finding.ok for finding in findings) else 71)
+app.command("doctor")(doctor_command)
 
 
 @recipes.command("list")
-def recipe_list_command() -> None:
+def recipe_list_command(as_json: Json = False) -> None:
     """List the recipes that come with the product."""
-    for name in recipe.names():
-        print(f"{name:10} {recipe.load(name).about}")
+    found = [recipe.load(name) for name in recipe.names()]
+    if as_json:
+        listed = [
+            {
+                "name": r.name,
+                "about": r.about,
+                "draft": r.draft,
+                "default": r.name == recipe.DEFAULT,
+            }
+            for r in found
+        ]
+        _print_json({"recipes": listed})
+        return
+    print("\n".join(aligned([(r.name, r.about) for r in found])))
 
 
 @recipes.command("show")
 def recipe_show_command(
-    name: Annotated[str, typer.Argument(help="a recipe's name, or a TOML file")] = recipe.DEFAULT,
+    name: RecipeArgument = recipe.DEFAULT,
     assignments: Assignments = None,
     resolved: Annotated[
         bool, typer.Option("--resolved", help="every setting, not only the differences")

@@ -15,6 +15,7 @@ from refdgs_pipe.cli.signals import Stopper
 from refdgs_pipe.cli.workspace import Memory, absolute, default_root, is_workspace
 from refdgs_pipe.documents import write_json_text
 from refdgs_pipe.errors import Cancelled, InputError, WriteError
+from refdgs_pipe.formatting import about_room, aligned, roughly
 from refdgs_pipe.pipeline.catalog import load_stages
 from refdgs_pipe.pipeline.events import Progress, Started
 
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from refdgs_pipe.checking.record import Checked
     from refdgs_pipe.params import Params
 
-_MARKS = {"ok": "ok  ", "note": "note", "but": "but ", "bad": "NO  "}
+_MARKS = {"ok": "ok", "note": "note", "but": "but", "bad": "NO"}
 
 
 def check_command(
@@ -84,13 +85,13 @@ def check(
     start = time.monotonic()
     settings = {name: _settings(name) for name in recipe.names()}
     least = float(getattr(settings[recipe.DEFAULT]["gate"], "min_trusted", 0.0))
-    console = Console({}, verbosity=0 if quiet else 1)
+    console = Console(verbosity=0 if quiet else 1)
 
     def progress(label: str, done: int, total: int | None) -> None:
         console(Progress("check", label, done, total))
 
     with console:
-        console(Started("check", "looking at the photos"))
+        console(Started("check", "never run"))
         look = take_look(
             paths, scratch, least=least, threads=threads, progress=progress, stop=stopper.stop
         )
@@ -105,17 +106,13 @@ def check(
 
 def describe(checked: "Checked") -> str:
     """The check in words: the verdict, what to do, what was found, what a run takes."""
-    from refdgs_pipe.reporting.check import about_duration, about_room
-
     verdict = checked.verdict
     lines = [verdict.line, *(f"  - {text}" for text in verdict.to_do), ""]
-    for finding in checked.findings:
-        lines.append(f"{_MARKS[finding.state]} {finding.name}: {finding.text}")
+    lines += aligned([(_MARKS[f.state], f.name, f.text) for f in checked.findings])
     if checked.costs:
         lines += ["", f"a run takes, with {checked.cores} of this machine's cores:"]
-    for cost in checked.costs:
-        time_words, room = about_duration(cost.seconds), about_room(cost.bytes)
-        lines.append(f"  {cost.recipe:13} {time_words}, {room} on disk")
+    rows = [(c.recipe, roughly(c.seconds), f"{about_room(c.bytes)} on disk") for c in checked.costs]
+    lines += aligned(rows, before="  ")
     return "\n".join([*lines, ""])
 
 

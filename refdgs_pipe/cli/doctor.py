@@ -4,16 +4,22 @@ import os
 import platform
 import shutil
 import sys
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Any
+
+import typer
 
 from refdgs_pipe import __version__
 from refdgs_pipe.child_process import call_in_child
 from refdgs_pipe.cli.device import core_count, cuda_problem, described, has_driver
+from refdgs_pipe.cli.options import Json
+from refdgs_pipe.documents import write_json_text
 from refdgs_pipe.errors import RefdgsError
-from refdgs_pipe.formatting import size
+from refdgs_pipe.formatting import aligned, size
 
 # module -> (distribution, what the system must have for it on Debian)
 LIBRARIES = {
@@ -45,12 +51,35 @@ class Finding:
     fix: str = ""
 
 
+def doctor_command(as_json: Json = False) -> None:
+    """Check this machine and the installation; one fix for each problem."""
+    findings = examine()
+    print(write_json_text(record(findings), indent=2) if as_json else describe(findings))
+    raise typer.Exit(0 if all(finding.ok for finding in findings) else 71)
+
+
 def examine() -> list[Finding]:
     """Look at everything. Libraries are loaded in processes of their own: some abort."""
     findings = [_python(), _native()]
     findings += [_library(module, *entry) for module, entry in LIBRARIES.items()]
     findings += [_optional(module, *entry) for module, entry in OPTIONAL.items()]
     return [*findings, _gpu(), _cores(), _memory(), _disk()]
+
+
+def record(findings: Sequence[Finding]) -> dict[str, Any]:
+    """As JSON has it."""
+    is_ok = all(finding.ok for finding in findings)
+    return {"ok": is_ok, "findings": [asdict(finding) for finding in findings]}
+
+
+def describe(findings: Sequence[Finding]) -> str:
+    """A line for each finding, and below it how to mend it."""
+    rows = [("ok" if found.ok else "BAD", found.name, found.text) for found in findings]
+    indent = " " * (aligned([(*row[:2], "|") for row in rows])[0].index("|"))
+    lines = []
+    for line, found in zip(aligned(rows), findings, strict=True):
+        lines += [line, f"{indent}{found.fix}"] if found.fix else [line]
+    return "\n".join(lines)
 
 
 def load(module: str) -> str:

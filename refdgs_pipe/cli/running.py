@@ -10,22 +10,23 @@ from pathlib import Path
 from typing import Any
 
 from refdgs_pipe.cli import mask_model, report
+from refdgs_pipe.cli.closing import closing
 from refdgs_pipe.cli.console import Console
 from refdgs_pipe.cli.device import check_device, choose_device, core_count
+from refdgs_pipe.cli.listening import Listener
 from refdgs_pipe.cli.logs import RunLog
 from refdgs_pipe.cli.signals import Stopper
-from refdgs_pipe.cli.verdict import closing_lines, verdict_of
+from refdgs_pipe.cli.verdict import verdict_of
 from refdgs_pipe.cli.workspace import Workspace, is_workspace
 from refdgs_pipe.documents import write_json_text
 from refdgs_pipe.errors import Cancelled, InputError, RefdgsError, WorkspaceBusy, WriteError
-from refdgs_pipe.evaluation.verdict import Verdict
-from refdgs_pipe.formatting import duration, figure, printable, size
+from refdgs_pipe.formatting import aligned, printable
 from refdgs_pipe.pipeline.catalog import PUBLISHED
-from refdgs_pipe.pipeline.events import Emit, Event, Finished, Started
+from refdgs_pipe.pipeline.events import Emit
 from refdgs_pipe.pipeline.plan import Step
 from refdgs_pipe.pipeline.runner import Request, run
+from refdgs_pipe.stage_words import doing
 
-TRAINING = "train"  # the stage that takes long
 DEGRADED = 3  # exit code of --strict when there were warnings, or the result is poor
 
 
@@ -59,19 +60,25 @@ def make(workspace: Workspace, options: Options) -> int:
         if is_workspace(workspace.root):
             report.write_if_possible(workspace, threads=options.threads)
         raise
-    seconds = time.monotonic() - start
+    drawing = time.monotonic()
     if options.verbosity:
-        print("report: drawing", file=sys.stderr)
+        print(f"report: {doing('report')}", file=sys.stderr)
     page = report.write_if_possible(workspace, threads=options.threads)
+    drawn_s = time.monotonic() - drawing
     verdict = verdict_of(workspace)
-    record = _record(workspace, steps, made, seconds) | {
+    record = _record(workspace, steps, made, time.monotonic() - start) | {
         "report": page and str(page),
+        "report_seconds": round(drawn_s, 3),
         "verdict": verdict and verdict.record(),
     }
     if options.json:
         _print_json(record)
     else:
-        _print_summary(record, steps, made, options.verbosity, verdict)
+        if options.verbosity:
+            for line in closing(workspace, record, steps, verdict):
+                print(printable(line), file=sys.stderr)
+        if record["asset"]:
+            print(record["asset"])
     is_poor = verdict is not None and verdict.word == "poor"
     return DEGRADED if options.strict and (is_poor or record["status"] == "degraded") else 0
 
@@ -104,37 +111,22 @@ def _run_logged(
     workspace: Workspace, options: Options, stopper: Stopper, also: Emit
 ) -> tuple[list[Step], dict[str, float]]:
     """Run with the log, the console and `also` listening."""
-    expected = {
-        step.stage.name: step.expected_s
-        for step in workspace.status()
-        if step.manifest is None or step.stage.name in options.force
-    }
-    wanted = {stage.name for stage in workspace.pipeline.needed_for(options.until)}
-    if mask_model.STAGE in wanted & expected.keys():
+    before = workspace.status()
+    open_ = [s.stage.name for s in before if s.manifest is None or s.stage.name in options.force]
+    wanted = [stage.name for stage in workspace.pipeline.needed_for(options.until)]
+    to_make = [name for name in wanted if name in open_]
+    if mask_model.STAGE in to_make:
         _try_network(workspace, stopper)
     workspace.memory.write(workspace.root)
-    log, made = RunLog(workspace.root), dict[str, float]()
-    console = Console(
-        {name: seconds for name, seconds in expected.items() if name in wanted},
-        verbosity=options.verbosity,
-    )
-
-    def listen(event: Event) -> None:
-        log(event)
-        if isinstance(event, Started) and event.stage == TRAINING:
-            for line in early_lines(workspace):
-                console.say(line)
-        console(event)
-        also(event)
-        if isinstance(event, Finished):
-            made[event.stage] = event.seconds
-
+    log, console = RunLog(workspace.root), Console(verbosity=options.verbosity)
+    cores = options.threads or core_count()
+    listen = Listener(workspace, console, log, before, to_make, cores, also)
     with console:
         request = Request(
             until=options.until,
             force=options.force,
             device=lambda: choose_device(options.device),
-            threads=options.threads or core_count(),
+            threads=cores,
             vram=options.vram,
             cuda_graph=options.cuda_graph,
             stop=stopper.stop,
@@ -152,7 +144,7 @@ def _run_logged(
             raise
         finally:
             log.close()
-    return steps, made
+    return steps, listen.made
 
 
 def _try_network(workspace: Workspace, stopper: Stopper) -> None:
@@ -195,9 +187,9 @@ def print_plan(workspace: Workspace, options: Options) -> None:
         settings = settings_json(workspace)
         _print_json({"settings": settings, "stages": steps_json(steps, workspace)})
         return
-    for step in steps:
-        asked = step.stage.name in options.force and step.manifest
-        print(printable(f"{step.stage.name:9} {'asked for again' if asked else step.reason}"))
+    asked = {s.stage.name for s in steps if s.stage.name in options.force and s.manifest}
+    rows = [(s.stage.name, "asked for again" if s.stage.name in asked else s.reason) for s in steps]
+    print("\n".join(map(printable, aligned(rows))))
 
 
 def _check_place(root: Path) -> None:
@@ -237,25 +229,6 @@ def steps_json(steps: Sequence[Step], workspace: Workspace) -> list[dict[str, An
     return records
 
 
-def early_lines(workspace: Workspace) -> list[str]:
-    """What to say of the capture before training begins; nothing where that cannot be read."""
-    from refdgs_pipe.artifacts.placement import Placement
-    from refdgs_pipe.artifacts.sparse_model import SparseModel
-    from refdgs_pipe.artifacts.views import Views
-    from refdgs_pipe.checking import early
-
-    store, found = workspace.pipeline.store, dict[type, Any]()
-    kinds: tuple[type[Any], ...] = (Views, Placement, SparseModel)
-    try:
-        for stage in workspace.pipeline.stages:
-            manifest = store.current(stage.name)
-            if stage.output in kinds and manifest is not None:
-                found[stage.output] = stage.output.load(store.folder(manifest.origin))
-        return early.early_lines(*(found[kind] for kind in kinds))
-    except (RefdgsError, OSError, KeyError, ValueError):
-        return []
-
-
 def _record(
     workspace: Workspace, steps: Sequence[Step], made: dict[str, float], seconds: float
 ) -> dict[str, Any]:
@@ -284,38 +257,6 @@ def _size_said(steps: Sequence[Step]) -> str | None:
 def _sizes(folder: Path) -> dict[str, int]:
     files = sorted(path for path in folder.rglob("*") if path.is_file())
     return {path.relative_to(folder).as_posix(): path.stat().st_size for path in files}
-
-
-def _print_summary(
-    record: dict[str, Any],
-    steps: Sequence[Step],
-    made: dict[str, float],
-    verbosity: int,
-    verdict: Verdict | None,
-) -> None:
-    """What came out on stderr; where it is on stdout."""
-    if verbosity:
-        if made:
-            times = ", ".join(f"{name} {duration(seconds)}" for name, seconds in made.items())
-            print(f"\nmade {times}", file=sys.stderr)
-        last = steps[-1].manifest
-        if record["asset"] and last:
-            for name, count in record["files"].items():
-                print(f"  {name}  {size(count)}", file=sys.stderr)
-            for name, value, unit in last.measures:
-                print(printable(f"  {name}: {figure(value)} {unit}".rstrip()), file=sys.stderr)
-        if record["warnings"]:
-            print(f"{len(record['warnings'])} warnings: see above or `status`", file=sys.stderr)
-        if record["size"] is not None:
-            print(f"size {record['size']}", file=sys.stderr)
-        for line in closing_lines(verdict) if verdict else ():
-            print(line, file=sys.stderr)
-        took = f"in {duration(record['seconds'])}" if made else "everything was up to date"
-        print(f"finished, {took}", file=sys.stderr)
-        if record["report"]:
-            print(f"report: {record['report']}", file=sys.stderr)
-    if record["asset"]:
-        print(record["asset"])
 
 
 def _print_json(record: dict[str, Any]) -> None:

@@ -23,6 +23,7 @@ class Finding:
         value: the figure in words, as in "24 dB".
         advice: what to do about it; empty where nothing is to be done.
         mark: below 0 is poor, from 1 on is good; evenly in between.
+        plain: the same in a sentence without figures, for people who do not know them.
     """
 
     about: str
@@ -30,6 +31,7 @@ class Finding:
     value: str
     advice: str
     mark: float
+    plain: str = ""
 
     @property
     def text(self) -> str:
@@ -61,7 +63,13 @@ class Verdict:
     def record(self) -> dict[str, object]:
         """As JSON has it."""
         reasons = [
-            {"about": f.about, "word": f.word, "value": f.value, "advice": f.advice}
+            {
+                "about": f.about,
+                "word": f.word,
+                "value": f.value,
+                "advice": f.advice,
+                "plain": f.plain,
+            }
             for f in self.findings
         ]
         return {"word": self.word, "line": self.line, "score": self.score, "reasons": reasons}
@@ -74,6 +82,7 @@ class _Aspect:
     Args:
         value: the figure; None where it was not measured.
         words: the figure in words; advice: what to do where it is not good.
+        plain: what poor, fair and good mean, each in a sentence.
     """
 
     about: str
@@ -82,6 +91,7 @@ class _Aspect:
     good: float
     words: Callable[[ObjectFigures], str]
     advice: str
+    plain: tuple[str, str, str]
 
     def finding(self, evidence: ObjectFigures) -> Finding | None:
         """None where there is nothing to judge."""
@@ -91,7 +101,8 @@ class _Aspect:
         mark = (value - self.poor) / (self.good - self.poor)
         word: Word = "poor" if mark < 0 else "good" if mark >= 1 else "fair"
         advice = "" if word == "good" else self.advice
-        return Finding(self.about, word, self.words(evidence), advice, mark)
+        plain = self.plain[("poor", "fair", "good").index(word)]
+        return Finding(self.about, word, self.words(evidence), advice, mark, plain)
 
 
 def _gap(evidence: ObjectFigures) -> float | None:
@@ -115,8 +126,13 @@ _ASPECTS = (
         16.0,
         26.0,
         lambda e: f"{e.psnr:.0f} dB on the object",
-        "train longer (the recipe `glossy`, more train.iterations), or take sharper, evenly "
-        "exposed photos",
+        "train longer (the recipe `glossy`, or more `train.iterations`), or take sharper photos "
+        "with the same exposure",
+        (
+            "Seen from a new place, the object looks blurred or wrong",
+            "Seen from a new place, the object lacks fine detail",
+            "Seen from a new place, the object looks as in the photos",
+        ),
     ),
     _Aspect(
         "unseen photos beside those of the training",
@@ -125,6 +141,11 @@ _ASPECTS = (
         2.0,
         lambda e: _gap_words(_gap(e) or 0.0),
         "take more photos all round, with less than 15 degrees between neighbours",
+        (
+            "Between the photos the object looks much worse than in them",
+            "Between the photos the object looks worse than in them",
+            "Between the photos the object looks as good as in them",
+        ),
     ),
     _Aspect(
         "photos with a trusted place",
@@ -132,7 +153,13 @@ _ASPECTS = (
         0.6,
         0.9,
         lambda e: f"{e.placed} of {e.photos}",
-        "take photos between the lost ones and the others; the section Photos names them",
+        "take photos between the lost ones and the others; the section Photos of the report names "
+        "them",
+        (
+            "Many photos could not be used, because nothing tells where they were taken",
+            "Some photos could not be used, because nothing tells where they were taken",
+            "Nearly all photos could be used",
+        ),
     ),
     _Aspect(
         "surface seen well by photos",
@@ -140,7 +167,12 @@ _ASPECTS = (
         0.3,
         0.6,
         lambda e: f"{e.seen:.0%}, nobody saw {e.unseen:.0%}",
-        "take photos of the sides that the section Coverage shows in red",
+        "take photos of the sides that the section Coverage of the report shows in red",
+        (
+            "Much of the surface is in too few photos",
+            "Some of the surface is in few photos",
+            "The photos show nearly all of the surface well",
+        ),
     ),
     _Aspect(
         "holes in the surface",
@@ -148,7 +180,12 @@ _ASPECTS = (
         4.0,
         0.5,
         lambda e: f"{e.holes}, their rims {e.hole_length:.1f} times the diagonal",
-        "raise clean.hole to close them, or photograph what is behind them",
+        "raise `clean.hole` to close them, or photograph what is behind them",
+        (
+            "The surface has large holes",
+            "The surface has holes",
+            "The surface has no holes that matter",
+        ),
     ),
     _Aspect(
         "loose bits of surface",
@@ -156,7 +193,12 @@ _ASPECTS = (
         0.1,
         0.01,
         lambda e: f"{e.parts}, {e.part_share:.0%} of the surface",
-        "raise clean.floater to remove them, or give masks",
+        "raise `clean.floater` to remove them, or give masks",
+        (
+            "Much of the surface is loose pieces",
+            "Some loose pieces float around the object",
+            "No loose pieces float around the object",
+        ),
     ),
     _Aspect(
         "outlines of the mesh against those of the object",
@@ -164,7 +206,12 @@ _ASPECTS = (
         4.0,
         1.0,
         lambda e: f"{e.outline:.1f} % of its size apart",
-        "look at the section Mesh; give masks, more photos, or train longer",
+        "look at the section Mesh of the report; give masks, more photos, or train longer",
+        (
+            "The outline of the model is clearly not that of the object",
+            "The outline of the model differs a little from that of the object",
+            "The outline of the model is that of the object",
+        ),
     ),
     _Aspect(
         "shape, from one view to the next",
@@ -172,7 +219,12 @@ _ASPECTS = (
         0.15,
         0.03,
         lambda e: f"{e.contradicted:.0%} of what one view sees is denied by another",
-        "check the poses (section Cameras), take more photos, or train longer",
+        "look at the section Cameras of the report; take more photos, or train longer",
+        (
+            "The shape contradicts itself from one side to the other",
+            "The shape contradicts itself in places",
+            "The shape agrees with itself from all sides",
+        ),
     ),
     _Aspect(
         "mesh against the depth that it was made of",
@@ -180,7 +232,12 @@ _ASPECTS = (
         1.5,
         0.4,
         lambda e: f"{e.depth:.2f} % of the diagonal apart",
-        "take more photos, train longer, or lower extract.voxel",
+        "take more photos, train longer, or lower `extract.voxel`",
+        (
+            "The mesh is much coarser than the shape that was learned",
+            "The mesh is a little coarser than the shape that was learned",
+            "The mesh follows the shape that was learned",
+        ),
     ),
     _Aspect(
         "asset, in the light that was found, against photos",
@@ -188,7 +245,13 @@ _ASPECTS = (
         13.0,
         22.0,
         lambda e: f"{e.asset_psnr:.0f} dB on the object, the field itself {e.psnr:.0f} dB",
-        "look at the relit pictures in the report; a larger bake.size and longer training help",
+        "compare the pictures in the section Photo and result of the report; longer training and a "
+        "larger `bake.size` help",
+        (
+            "With its textures, the asset looks clearly unlike the photos",
+            "With its textures, the asset looks somewhat unlike the photos",
+            "With its textures, the asset looks as in the photos",
+        ),
     ),
 )
 SCORED = 2  # lowest marks: a result is as bad as the worst of it
@@ -207,7 +270,8 @@ def judged(evidence: ObjectFigures, *, draft: bool = False) -> Verdict:
     found = [f for aspect in _ASPECTS if (f := aspect.finding(evidence)) is not None]
     if evidence.psnr is None:
         advice = "look at `refdgs-pipe render WORKSPACE`; give masks or more photos"
-        found.append(Finding("the object", "poor", "no photo shows it", advice, -1.0))
+        plain = "No photo shows the object"
+        found.append(Finding("the object", "poor", "no photo shows it", advice, -1.0, plain))
     marks = sorted(min(max(f.mark, -1.0), 1.5) for f in found)[:SCORED]
     score = sum(marks) / len(marks)
     found.sort(key=lambda f: (_RANK[f.word], f.mark))
@@ -219,11 +283,15 @@ def _notes(evidence: ObjectFigures) -> list[Finding]:
     notes = []
     if not evidence.held_out:
         words = "no photo was held out: figures are of photos that it was trained with"
-        notes.append(Finding("held-out photos", None, words, "give 16 photos or more", 1.0))
+        plain = "Every photo was used for learning, so none is left to test the result with"
+        notes.append(Finding("held-out photos", None, words, "give 16 photos or more", 1.0, plain))
     if not evidence.masked:
         words = "no masks: the object is what the field and the mesh show of it"
-        notes.append(Finding("masks", None, words, "", 1.0))
+        plain = "No masks say where the object ends, so its edges are less certain"
+        notes.append(Finding("masks", None, words, "", 1.0, plain))
     if not evidence.metres:
         words = "size unknown: a unit is taken for a metre"
-        notes.append(Finding("size", None, words, "give --size METRES, or use a mat", 1.0))
+        plain = "The real size is unknown"
+        advice = "give `--size METRES`, or use a mat"
+        notes.append(Finding("size", None, words, advice, 1.0, plain))
     return notes

@@ -16,6 +16,7 @@ from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
 from refdgs_pipe.export.gltf import write_glb
 from refdgs_pipe.export.product import Product, product
 from refdgs_pipe.formatting import counted, size
+from refdgs_pipe.reporting.delivery import size_line
 from refdgs_pipe.reporting.facts import Drawing, Facts
 from refdgs_pipe.reporting.html import Html, figure, image, joined, tag
 from refdgs_pipe.reporting.pictures import data_uri, fitted, webp
@@ -25,6 +26,14 @@ U8 = NDArray[np.uint8]
 VIEWER = "model-viewer-4.4.0.umd.min.js"
 _FRAMES, _FRAME, _CLOSE_UP, _ZOOM = 8, 380, 480, 4.0
 _MOST_BYTES = 12_000_000  # a larger GLB is embedded with smaller textures
+_SHOWN = [  # value in report.js, label
+    ("asset", "finished asset"),
+    ("color", "colour only"),
+    ("rough", "roughness"),
+    ("metal", "metal"),
+    ("normal", "surface direction"),
+    ("seen", "how well photos saw it"),
+]
 _TEXTURE, _MAP, _LIGHT = 1024, 512, 128  # px, of an embedded GLB, of the page, of its light
 
 
@@ -33,39 +42,74 @@ def viewer(facts: Facts, _: Drawing) -> Html:
     folder = facts.folder(Asset)
     content = (folder / "asset.glb").read_bytes()
     note = f"This is asset.glb, {size(len(content))}."
+    large = size_line(facts)
     if len(content) > _MOST_BYTES:
         smaller = _smaller(product_of(facts))
         if len(smaller) > 1.5 * _MOST_BYTES:
-            return tag("p", f"{note} It is too large for this page: open the file.", class_="none")
+            words = f"{note} It is too large for this page: open the file."
+            return joined(large, tag("p", words, class_="none"))
         note = f"{note} In this page its textures are reduced to {_TEXTURE} px."
         content = smaller
     library = files("refdgs_pipe.reporting").joinpath("assets", VIEWER).read_text("utf-8")
     library = library.rpartition("//# sourceMappingURL=")[0] or library
     assert "</script" not in library.lower()
-    light = _light(folder)
+    light, seen = _light(folder), _seen(folder)
     poster = data_uri((folder / "preview.png").read_bytes(), "image/png")
     button = tag("button", "Start the 3D view", type="button", id="start-3d")
-    words = f"{note} Drag to turn, scroll or pinch to zoom; nothing is fetched from anywhere."
+    words = (
+        f"{note} Drag or use the arrow keys to turn it, scroll or pinch to zoom. "
+        "Nothing is fetched from anywhere."
+    )
     return joined(
+        large,
         tag(
             "div",
-            tag("img", src=_small_poster(poster, folder), alt="the textured mesh"),
+            tag("img", src=_small_poster(poster, folder), alt="the asset from three sides"),
             button,
             id="stage-3d",
         ),
-        _choice() if light else Html(""),
+        _choices(has_light=light is not None, has_seen=seen is not None),
         tag("p", words, class_="hint"),
         tag("script", Html(_base64(content)), type="text/plain", id="glb"),
         tag("script", Html(_base64(light)), type="text/plain", id="light") if light else Html(""),
+        tag("script", Html(seen), type="text/plain", id="seen") if seen else Html(""),
         tag("script", Html(library), type="text/plain", id="viewer"),
     )
 
 
-def _choice() -> Html:
-    """Which light falls on the object; shown once the view has started."""
-    box = tag("input", type="checkbox", id="as-photographed")
-    words = " in the light that the object stood in, as far as its reflections tell"
-    return tag("label", box, words, id="light-3d", hidden=True)
+def _choices(*, has_light: bool, has_seen: bool) -> Html:
+    """What of the asset is shown, and in which light; there once the view has started."""
+    shown = [(name, label) for name, label in _SHOWN if name != "seen" or has_seen]
+    lights = [("studio", "studio"), ("found", "as photographed")] if has_light else []
+    wire = tag("input", type="checkbox", id="wire-3d")
+    return tag(
+        "div",
+        _radios("show", "Show", shown),
+        _radios("lit", "Light", lights) if lights else Html(""),
+        tag("fieldset", tag("legend", "Mesh"), tag("label", wire, " wireframe")),
+        tag("p", "", id="told-3d", class_="hint", role="status"),
+        id="choices-3d",
+        hidden=True,
+    )
+
+
+def _radios(name: str, legend: str, options: list[tuple[str, str]]) -> Html:
+    """One of several, as radio buttons; the first is chosen."""
+    labels = [
+        tag(
+            "label",
+            tag("input", type="radio", name=name, value=value, checked=i == 0),
+            f" {label}",
+        )
+        for i, (value, label) in enumerate(options)
+    ]
+    return tag("fieldset", tag("legend", legend), *labels)
+
+
+def _seen(folder: Path) -> str | None:
+    """How well photos saw each place of the texture, as a small picture."""
+    pixels = cv2.imread(str(folder / "textures" / "confidence.png"), cv2.IMREAD_GRAYSCALE)
+    return None if pixels is None else webp(np.asarray(fitted(pixels, _MAP), np.uint8))
 
 
 def _light(folder: Path) -> bytes | None:
@@ -116,17 +160,18 @@ def turntable(facts: Facts, drawing: Drawing) -> Html:
     close = render_close_up(made, side=_CLOSE_UP, zoom=_ZOOM)
     near = (_CLOSE_UP, _CLOSE_UP)
     faces = f"{len(made.faces):,} triangles"
-    state = "has open rims: its inside can be seen" if made.is_open else "is closed"
+    state = "has holes, through which its inside can be seen" if made.is_open else "is closed"
     return joined(
         tag(
             "p",
-            f"{faces}; the surface {state}. Lit by a plain studio, not by the photos' light.",
+            f"{faces}; the surface {state}. It stands in a plain studio here, not in the light of "
+            "the photos.",
         ),
         tag(
             "div",
             tag("div", *painted, class_="frames"),
             tag("div", *wire, class_="frames"),
-            tag("input", type="range", min=0, max=_FRAMES - 1, value=0, aria_label="turn it"),
+            tag("input", type="range", min=0, max=_FRAMES - 1, value=0, aria_label="Turn the mesh"),
             class_="turn",
         ),
         tag(
@@ -144,18 +189,21 @@ def atlas(facts: Facts, _: Drawing) -> Html:
     side = min(_MAP, textured.size)
     charts, picture, used = chart_map(textured.mesh, side)
     shown = (
-        ("charts, one colour each", picture),
-        ("base colour", _texture(textured.base_color)),
-        ("roughness, white is rough", _texture(textured.roughness)),
-        ("metal, white is metal", _texture(textured.metallic)),
-        ("ambient occlusion, white is open", _texture(textured.occlusion)),
-        ("normal, tangent space", _texture(textured.normal)),
+        ("pieces of the surface, one colour each", picture),
+        ("colour without light", _texture(textured.base_color)),
+        ("roughness: white is rough, black is a mirror", _texture(textured.roughness)),
+        ("metal: white is metal", _texture(textured.metallic)),
+        ("shadow in corners: white is open", _texture(textured.occlusion)),
+        ("fine relief (tangent-space normals)", _texture(textured.normal)),
     )
     pictures = [
         figure(image(webp(pixels), label, (pixels.shape[1], pixels.shape[0])), label)
         for label, pixels in shown
     ]
-    words = f"{textured.size} x {textured.size} texels, {counted(charts, 'chart')} on {used:.0%}."
+    words = (
+        f"The surface is cut into {counted(charts, 'piece')}, which fill {used:.0%} of textures of "
+        f"{textured.size} x {textured.size} pixels."
+    )
     return joined(tag("p", words), tag("div", *pictures, class_="tripled"))
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from refdgs_pipe import __version__
 from refdgs_pipe.checking.findings import Finding
 from refdgs_pipe.checking.record import Checked
-from refdgs_pipe.formatting import counted
+from refdgs_pipe.formatting import about_room, counted, roughly
 from refdgs_pipe.pipeline.atomic import disk_errors, write_text
 from refdgs_pipe.reporting import placement, plots
 from refdgs_pipe.reporting.facts import readable
@@ -74,7 +74,8 @@ def _verdict(checked: Checked) -> Html:
 
 
 def _findings(checked: Checked) -> Html:
-    return table(("", "", "found"), [_row(f) for f in checked.findings], class_="findings")
+    rows = [_row(finding) for finding in checked.findings]
+    return table(("about", "state", "found"), rows, class_="findings")
 
 
 def _row(finding: Finding) -> tuple[Content, ...]:
@@ -135,26 +136,9 @@ def _cost(checked: Checked) -> Html:
     if not checked.costs:
         return Html("")
     rows: list[tuple[Content, ...]] = [
-        (cost.recipe, about_duration(cost.seconds), about_room(cost.bytes), cost.about)
+        (cost.recipe, roughly(cost.seconds), about_room(cost.bytes), cost.about)
         for cost in checked.costs
     ]
     cores = counted(checked.cores, "core")
     words = f"A rough estimate for {cores} of this machine, without a GPU and other work beside."
     return joined(tag("p", words), table(("recipe", "time", "room on disk", "for"), rows))
-
-
-def about_room(count: int) -> str:
-    """Bytes that are only roughly known: "about 190 MB", "about 2.3 GB"."""
-    if count < 995_000_000:
-        return f"about {round(count / 1e7) * 10} MB"
-    return f"about {count / 1e9:.1f} GB"
-
-
-def about_duration(seconds: float) -> str:
-    """A time that is only roughly known: "about 15 min", "about 3 h"."""
-    minutes = seconds / 60
-    if minutes < 90:
-        step = 1 if minutes < 10 else 5
-        return f"about {max(1, round(minutes / step) * step)} min"
-    hours = minutes / 60
-    return f"about {hours:.1f} h" if hours < 10 else f"about {hours:.0f} h"

@@ -34,27 +34,34 @@ def coverage(facts: Facts, _: Drawing) -> Html:
         trust[:, None] > 0, LITTLE + (MUCH - LITTLE) * trust[:, None], UNSEEN
     )
     atlas[texels.index, 3] = 1
+    few = (trust > 0) & (trust < WELL)
     rows = [
-        ("seen by no camera, filled in from beside it", trust == 0, UNSEEN),
-        ("seen by few, at a slant, or unlike", (trust > 0) & (trust < WELL), LITTLE),
-        ("seen well", trust >= WELL, MUCH),
+        ("in no photo: its colour is filled in from beside it", trust == 0, UNSEEN),
+        (
+            "in few photos, at a slant, or different from photo to photo",
+            few,
+            LITTLE,
+        ),
+        ("in photos well", trust >= WELL, MUCH),
     ]
     shares: list[tuple[Html | str, ...]] = [
         (joined(_swatch(color), f" {name}"), f"{there.mean() if len(there) else 0:.1%}")
         for name, there, color in rows
     ]
     shares.append((joined(_swatch(INSIDE), " the inside, through a hole"), _holes(textured)))
-    label = "the atlas, in the same colours"
+    label = "the texture, in the same colours"
     picture = np.round(atlas.reshape(side, side, 4) * 255).astype(np.uint8)
+    words = "Red and yellow parts need more photos from that side."
     return joined(
+        tag("p", words),
         tag("div", *pictures, class_="quad"),
         tag(
             "div",
-            table(("texels", "share"), shares),
+            table(("part of the surface", "share"), shares),
             figure(image(webp(picture), label, (side, side)), label),
             class_="pair",
         ),
-        tag("p", "The same as grey values: textures/confidence.png of the asset.", class_="hint"),
+        tag("p", "As grey values it is in the file textures/confidence.png.", class_="hint"),
     )
 
 
@@ -69,4 +76,4 @@ def _holes(textured: TexturedMesh) -> str:
     lengths, _ = open_rims(textured.mesh)
     if not len(lengths):
         return "none"
-    return f"{counted(len(lengths), 'open rim')}, {lengths.sum():.3g} world units in all"
+    return counted(len(lengths), "hole")

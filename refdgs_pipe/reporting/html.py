@@ -1,6 +1,7 @@
 """Markup that cannot be broken by what it holds: every plain string is escaped when it enters."""
 
 import html
+import re
 from typing import TypeAlias
 
 from refdgs_pipe.formatting import printable_lines
@@ -65,15 +66,36 @@ def image(uri: str, alt: str, size: tuple[int, int], **attributes: str | None) -
     )
 
 
+def coded(text: str) -> Html:
+    """Words with `commands` in them: what stands between backticks is code."""
+    parts = re.split(r"`([^`]*)`", text)
+    return joined(*(tag("code", part) if i % 2 else part for i, part in enumerate(parts)))
+
+
 def table(head: tuple[str, ...], rows: list[tuple[Content, ...]], **attributes: str | None) -> Html:
-    """A table; the first cell of a row is its heading. Wide ones scroll by themselves."""
-    top = tag("tr", *(tag("th", cell, scope="col") for cell in head)) if any(head) else Html("")
+    """A table; the first cell of a row is its heading.
+
+    Wide ones scroll by themselves. On a narrow screen each row is a block whose cells have the
+    head's words before them; the roles keep it a table for screen readers.
+    """
+    cells = [tag("th", cell, scope="col", role="columnheader") for cell in head]
+    top = tag("tr", *cells, role="row") if any(head) else Html("")
     body = [
-        tag("tr", tag("th", row[0], scope="row"), *(tag("td", cell) for cell in row[1:]))
+        tag(
+            "tr",
+            tag("th", row[0], scope="row", role="rowheader"),
+            *(
+                tag("td", cell, role="cell", data_label=label or None)
+                for cell, label in zip(row[1:], (*head[1:], *[""] * len(row)), strict=False)
+            ),
+            role="row",
+        )
         for row in rows
     ]
-    whole = tag("table", tag("thead", top), tag("tbody", *body), **attributes)
-    return tag("div", whole, class_="scroll")
+    parts = tag("thead", top, role="rowgroup"), tag("tbody", *body, role="rowgroup")
+    words = f"Table: {next(filter(None, head), 'figures')}"
+    whole = tag("table", *parts, role="table", **attributes)
+    return tag("div", whole, class_="scroll", tabindex=0, role="group", aria_label=words)
 
 
 def _number(value: str | int | float) -> str:

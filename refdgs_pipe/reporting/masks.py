@@ -10,7 +10,7 @@ from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.errors import RefdgsError
 from refdgs_pipe.reporting.facts import Drawing, Facts
-from refdgs_pipe.reporting.html import Html, figure, image, joined, tag
+from refdgs_pipe.reporting.html import Html, coded, figure, image, joined, tag
 from refdgs_pipe.reporting.pictures import eight_bits, webp
 from refdgs_pipe.reporting.placement import spread
 
@@ -46,9 +46,11 @@ def masks(facts: Facts, _: Drawing) -> Html:
     maker = "Your network made these masks. " if found.kind == "network" else ""
     words = (
         f"{maker}What is dark is taken for surroundings. Where that is wrong, edit the masks and "
-        "adopt them: `refdgs-pipe adopt WORKSPACE masks FOLDER`."
+        "give them back: `refdgs-pipe adopt WORKSPACE masks FOLDER`."
     )
-    return joined(tag("p", words, class_="hint"), tag("div", *figures, class_="tripled overlay"))
+    return joined(
+        tag("p", coded(words), class_="hint"), tag("div", *figures, class_="tripled overlay")
+    )
 
 
 def draw_mask(photo: Photo) -> U8:

@@ -1,4 +1,4 @@
-"""The top of the report: the verdict with its reasons, and the figures that say most."""
+"""The top of the report: the verdict, why, what to do, and what the asset is in a few figures."""
 
 from contextlib import suppress
 from dataclasses import dataclass
@@ -6,15 +6,17 @@ from dataclasses import dataclass
 from refdgs_pipe.artifacts.asset import Asset
 from refdgs_pipe.artifacts.scores import Scores
 from refdgs_pipe.artifacts.sparse_model import SparseModel
-from refdgs_pipe.artifacts.surfel_field import SurfelField
 from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.errors import RefdgsError
 from refdgs_pipe.evaluation.verdict import Verdict, judged
-from refdgs_pipe.formatting import duration, figure, size
-from refdgs_pipe.pipeline.stage import Artifact
-from refdgs_pipe.reporting.facts import Facts
-from refdgs_pipe.reporting.html import Content, Html, joined, tag
+from refdgs_pipe.formatting import duration, figure, merged, size
+from refdgs_pipe.recipe import DEFAULT
+from refdgs_pipe.reporting.dimensions import dimensions, is_size_known
+from refdgs_pipe.reporting.facts import Facts, Result
+from refdgs_pipe.reporting.html import Content, Html, coded, table, tag
+from refdgs_pipe.reporting.photos import photo_faults
+from refdgs_pipe.reporting.placement import lost_photos
 
 _WORDS = {
     "failed": "Failed: the last run ended with an error.",
@@ -28,16 +30,23 @@ _JUDGED = {
     "fair": "it can be used, but see what is worst about it.",
     "poor": "do not trust it before the worst of this is mended.",
 }
+_NAMED = 6  # photos that are named in a sentence
+_FIRST = 3  # reasons that are told at the top
 
 
 @dataclass(frozen=True)
 class Reason:
-    """What it is about (a stage, a figure), in words, what to do; good, fair, poor or ""."""
+    """What it is about (a stage, a figure), in words, what to do; good, fair, poor or "".
+
+    Args:
+        plain: the same without figures.
+    """
 
     about: str
     words: str
     advice: str = ""
     word: str = ""
+    plain: str = ""
 
 
 @dataclass(frozen=True)
@@ -57,7 +66,7 @@ class Opinion:
 
 def judge(facts: Facts) -> Opinion:
     """What to think of the workspace's results."""
-    warnings = tuple(Reason(stage, words) for stage, words in facts.warnings)
+    warnings = _warnings(facts)
     failure = facts.notes.failure
     waiting = [r.name for r in facts.results if not r.is_current]
     if failure and (waiting or not facts.results):
@@ -72,10 +81,20 @@ def judge(facts: Facts) -> Opinion:
     verdict = _verdict(facts)
     if verdict is None:
         return Opinion("unjudged", _WORDS["unjudged"], warnings)
-    found = tuple(Reason(f.about, f.value, f.advice, f.word or "") for f in verdict.findings)
+    found = tuple(
+        Reason(f.about, f.value, f.advice, f.word or "", f.plain) for f in verdict.findings
+    )
     line = f"{verdict.line[0].upper()}{verdict.line[1:]}"
     line += f"{'.' if verdict.draft else ':'} {_worded(verdict)}"
     return Opinion(verdict.word, line, (*found, *warnings))
+
+
+def _warnings(facts: Facts) -> tuple[Reason, ...]:
+    """What the stages warned about; equal warnings once."""
+    by_stage: dict[str, list[str]] = {}
+    for stage, words in facts.warnings:
+        by_stage.setdefault(stage, []).append(words)
+    return tuple(Reason(name, text) for name, texts in by_stage.items() for text in merged(texts))
 
 
 def _worded(verdict: Verdict) -> str:
@@ -92,73 +111,112 @@ def _verdict(facts: Facts) -> Verdict | None:
 
 
 def head(facts: Facts) -> Html:
-    """The verdict and its reasons, the worst first."""
+    """The verdict, why, and what to do; every figure behind it on demand."""
     opinion = judge(facts)
-    reasons = [_reason(reason) for reason in opinion.reasons]
+    judged_ones = [r for r in opinion.reasons if r.plain]
+    others = [r for r in opinion.reasons if not r.plain]
+    worse = [r for r in judged_ones if r.word in ("poor", "fair")]
+    notes = [r for r in judged_ones if not r.word]
+    why = [_sentence(reason) for reason in [*worse[:_FIRST], *notes]]
+    why += [tag("li", tag("b", r.about), f": {r.words}") for r in others]
+    if not worse and judged_ones:
+        best = [r.plain for r in judged_ones if r.word == "good"][:_FIRST]
+        why = [*(tag("li", f"{words}.") for words in best), *why]
+    steps = [tag("li", coded(text)) for text in _to_do(facts, [*worse[:_FIRST], *notes])]
     return tag(
         "div",
         tag("p", opinion.line, class_="line"),
-        tag("ul", *reasons) if reasons else Html(""),
+        tag("h2", "Why") if why else Html(""),
+        tag("ul", *why) if why else Html(""),
+        tag("h2", "What to do") if steps else Html(""),
+        tag("ol", *steps) if steps else Html(""),
+        _figures(judged_ones),
         id="verdict",
         class_=f"verdict {opinion.word}",
+        role="region",
+        aria_label="Verdict",
     )
 
 
-def _reason(reason: Reason) -> Html:
+def _sentence(reason: Reason) -> Html:
     if not reason.word:
-        words = joined(tag("b", reason.about), Html(" &middot; "), reason.words)
-    else:
-        mark = tag("b", reason.word, class_=f"mark {reason.word}")
-        words = joined(mark, f" {reason.about}: {reason.words}")
-    advice = tag("span", f" To do: {reason.advice}.", class_="todo") if reason.advice else Html("")
-    return tag("li", words, advice)
+        return tag("li", f"{reason.plain}.")
+    mark = tag("b", reason.word, class_=f"mark {reason.word}")
+    return tag("li", mark, f" {reason.plain}.")
+
+
+def _to_do(facts: Facts, reasons: list[Reason]) -> list[str]:
+    """What makes the result better, the most useful first."""
+    steps = []
+    if facts.draft:
+        command = f"refdgs-pipe run PHOTOS --recipe {DEFAULT}"
+        steps.append(f"This was a first look. For full quality: `{command}`")
+    lost, blurred = _bad_photos(facts)
+    if lost:
+        steps.append(f"Take photos between these and the others: {_named(lost)}")
+    if blurred:
+        steps.append(f"Take these again, they are blurred: {_named(blurred)}")
+    steps += [f"{r.advice[0].upper()}{r.advice[1:]}" for r in reasons if r.advice]
+    return list(dict.fromkeys(steps))
+
+
+def _bad_photos(facts: Facts) -> tuple[list[str], list[str]]:
+    """The user's names of the photos without a place, and of the blurred ones."""
+    with suppress(RefdgsError, OSError, ValueError, KeyError):
+        views = facts.load(Views)
+        faults = photo_faults(views, lost_photos(facts))
+        names = {view.name: view.source or view.name for view in views.items}
+        found = [(names.get(name, name), fault) for name, fault in faults.items()]
+        lost = [name for name, fault in found if "lost" in fault]
+        return lost, [name for name, fault in found if "lost" not in fault]
+    return [], []
+
+
+def _named(names: list[str]) -> str:
+    rest = len(names) - _NAMED
+    return ", ".join(names[:_NAMED]) + (f" and {rest} more" if rest > 0 else "")
+
+
+def _figures(reasons: list[Reason]) -> Html:
+    """Everything that was judged, with its figure."""
+    if not reasons:
+        return Html("")
+    rows: list[tuple[Content, ...]] = [
+        (r.about, tag("b", r.word or "note", class_=f"mark {r.word}"), r.words) for r in reasons
+    ]
+    whole = table(("what was judged", "verdict", "figure"), rows, class_="checks")
+    return tag("details", tag("summary", "All that was judged, with figures"), whole)
 
 
 def tiles(facts: Facts) -> Html:
-    """The figures that say most, as far as they are known."""
-    found: list[tuple[str, Content, str]] = []
-
-    def add(label: str, kind: type[Artifact], name: str, unit: str = "") -> None:
-        result = facts.result(kind)
-        if result and name in result.measures:
-            value, own = result.measures[name]
-            words = f"{value:,}" if isinstance(value, int) else figure(value)
-            found.append((label, words, unit or own))
-
-    add("photos", Views, "photos")
-    add("have a camera", SparseModel, "registered")
-    evaluated = facts.result(Scores)
-    for name, (value, unit) in (evaluated.measures if evaluated else {}).items():
-        if name.startswith(("PSNR", "SSIM", "normal error", "Chamfer")):
-            short, _, remark = unit.partition(", ") if ", " in unit else (unit, "", "")
-            if short.startswith("% "):
-                short, remark = "%", short[2:]
-            found.append((f"{name}, {remark}" if remark else name, figure(value), short))
-    add("surfels", SurfelField, "surfels")
-    add("triangles", Asset, "faces")
-    add("texture", TexturedMesh, "texture size")
-    if (asset := facts.result(Asset)) and "size" in asset.measures:
-        value, remark = length_told(str(asset.measures["size"][0]))
-        found.append((f"longest side{remark}", value, ""))
-    if (result := facts.result(Asset)) and result.manifest:
-        files = result.manifest.files
-        for name in ("asset.glb", "asset.usdz"):
-            if name in files:
-                found.append((name, size(files[name][0]), ""))
+    """The asset in a few figures, as far as they are known."""
+    found: list[tuple[str, Content]] = []
+    placed = facts.result(SparseModel)
+    if placed and "registered" in placed.measures:
+        found.append(("photos used", str(placed.measures["registered"][0])))
+    elif (read := facts.result(Views)) and "photos" in read.measures:
+        found.append(("photos", _plain(read, "photos")))
+    asset = facts.result(Asset)
+    if asset and asset.folder and (box := dimensions(asset.folder / "asset.glb")):
+        told = str(asset.measures.get("size", ("unknown", ""))[0])
+        label = "width x height x depth" + ("" if is_size_known(told) else "; real size unknown")
+        found.append((label, box.words))
+    if asset and "faces" in asset.measures:
+        found.append(("triangles", _plain(asset, "faces")))
+    baked = facts.result(TexturedMesh)
+    if baked and "texture size" in baked.measures:
+        found.append(("texture, in pixels", _plain(baked, "texture size")))
+    if asset and asset.manifest and "asset.glb" in asset.manifest.files:
+        found.append(("asset.glb", size(asset.manifest.files["asset.glb"][0])))
     seconds = sum(r.manifest.seconds for r in facts.results if r.manifest)
     if seconds:
-        found.append(("all stages took", duration(seconds), ""))
-    return tag("div", *(_tile(*entry) for entry in found), class_="tiles")
+        found.append(("it took", duration(seconds)))
+    boxes = [
+        tag("div", tag("dt", label), tag("dd", value), class_="tile") for label, value in found
+    ]
+    return tag("dl", *boxes, class_="tiles") if boxes else Html("")
 
 
-def length_told(told: str) -> tuple[str, str]:
-    """What export says of the size, as the value of a tile and a remark on it."""
-    if told.startswith("unknown: "):
-        return told.removeprefix("unknown: exported ").partition(" long")[0], ", size unknown"
-    value, _, remark = told.partition(", ")
-    return value, f", {remark}" if remark else ""
-
-
-def _tile(label: str, value: Content, unit: str) -> Html:
-    number = joined(value, tag("small", f" {unit}") if unit else "")
-    return tag("div", tag("span", number, class_="value"), tag("span", label), class_="tile")
+def _plain(result: Result, name: str) -> str:
+    value = result.measures[name][0]
+    return f"{value:,}" if isinstance(value, int) else figure(value)

@@ -23,7 +23,7 @@ from refdgs_pipe.reporting.facts import Drawing, Facts, readable
 from refdgs_pipe.reporting.html import Html, joined, tag
 
 NAME = "report.html"
-_LAYOUT = 6  # raised when the page changes, so that older ones are made again
+_LAYOUT = 7  # raised when the page changes, so that older ones are made again
 _POLICY = (  # the browser itself keeps the page from fetching anything
     "default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval' blob:; "
     "style-src 'unsafe-inline'; img-src data: blob:; connect-src data: blob:; "
@@ -38,12 +38,14 @@ class Section:
     Args:
         drawn_by: module and function of this package; loaded only when there is something to draw.
         needs: the kinds of artifact that it shows.
+        nav: whether the row of links at the top has it.
     """
 
     name: str
     title: str
     drawn_by: tuple[str, str]
     needs: tuple[type[Artifact], ...] = ()
+    nav: bool = False
 
     def draw(self, facts: Facts, drawing: Drawing) -> Html:
         """What it shows; called only when all that it needs is there."""
@@ -53,27 +55,29 @@ class Section:
 
 
 SECTIONS = (
-    Section("model", "The asset", ("asset", "viewer"), (Asset,)),
-    Section("photos", "Photos", ("photos", "contact_sheet"), (Views,)),
-    Section("placement", "Placement", ("placement", "placement"), (Views, Placement)),
+    Section("model", "The asset", ("asset", "viewer"), (Asset,), nav=True),
+    Section("delivery", "Files", ("delivery", "delivery"), (Asset,), nav=True),
+    Section("photos", "Photos", ("photos", "contact_sheet"), (Views,), nav=True),
+    Section("cameras", "Cameras", ("photos", "cameras"), (SparseModel,), nav=True),
+    Section("coverage", "Coverage", ("coverage", "coverage"), (SparseModel, TexturedMesh), True),
     Section("masks", "Masks", ("masks", "masks"), (Masks, Views, SparseModel)),
-    Section("cameras", "Cameras", ("photos", "cameras"), (SparseModel,)),
-    Section("training", "Training", ("views", "training"), (SurfelField,)),
     Section(
         "views",
-        "Photo, render, error",
+        "Photo and result",
         ("views", "comparisons"),
         (Views, SparseModel, SurfelField),
+        nav=True,
     ),
-    Section("maps", "Surface and reflections", ("views", "maps"), (SparseModel, SurfelField)),
-    Section("light", "Surroundings", ("views", "surroundings"), (Asset,)),
-    Section("mesh", "Mesh", ("asset", "turntable"), (SparseModel, TexturedMesh)),
-    Section("atlas", "Atlas", ("asset", "atlas"), (TexturedMesh,)),
-    Section("coverage", "Coverage", ("coverage", "coverage"), (SparseModel, TexturedMesh)),
-    Section("scores", "Evaluation", ("records", "scores"), (Scores,)),
-    Section("files", "Files and validators", ("records", "files"), (Asset,)),
+    Section("mesh", "Mesh", ("asset", "turntable"), (SparseModel, TexturedMesh), nav=True),
+    Section("light", "Light around the object", ("views", "surroundings"), (Asset,)),
+    Section("scores", "Figures", ("records", "scores"), (Scores,), nav=True),
+    Section("placement", "Placement of the photos", ("placement", "placement"), (Views, Placement)),
+    Section("maps", "What was learned", ("views", "maps"), (SparseModel, SurfelField)),
+    Section("atlas", "Textures", ("asset", "atlas"), (TexturedMesh,)),
+    Section("training", "Training", ("views", "training"), (SurfelField,)),
+    Section("files", "Checks of the files", ("records", "files"), (Asset,)),
     Section("stages", "Stages", ("records", "stages")),
-    Section("settings", "Settings", ("records", "settings")),
+    Section("settings", "Settings", ("records", "settings"), nav=True),
 )
 
 
@@ -100,10 +104,11 @@ def write_report(path: Path, facts: Facts, drawing: Drawing | None = None) -> li
 def page(facts: Facts, drawing: Drawing, problems: list[str], *, key: str = "") -> Html:
     """The whole page. What fails is noted in `problems` and on the page."""
     bodies = [_section(part, facts, drawing, problems) for part in SECTIONS]
-    links = [tag("a", part.title, href=f"#{part.name}") for part in SECTIONS]
+    links = [tag("a", part.title, href=f"#{part.name}") for part in SECTIONS if part.nav]
     body = joined(
+        tag("a", "Skip to the asset", href="#model", class_="skip"),
         tag("header", tag("h1", facts.title), overview.head(facts), overview.tiles(facts)),
-        tag("nav", *links),
+        tag("nav", *links, aria_label="Parts of this page"),
         tag("main", *bodies),
         tag("footer", f"refdgs-pipe {__version__}, recipe {facts.recipe}"),
     )

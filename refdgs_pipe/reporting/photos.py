@@ -79,8 +79,8 @@ def _summary(views: Views, faults: dict[str, dict[str, str]], *, hidden: int) ->
     held = sum(view.split == "test" for view in views.items)
     skipped = sum(not file.harmless for file in views.skipped)
     words = (
-        f"{counted(len(views.items), 'photo')}: {count('lost')} lost (no camera position was "
-        f"found), {count('blurred')} blurred, {held} held out from training."
+        f"{counted(len(views.items), 'photo')}: {count('lost')} lost (nothing tells where they "
+        f"were taken), {count('blurred')} blurred, {held} kept for testing the result."
     )
     words += f" {counted(skipped, 'file')} could not be read." if skipped else ""
     rest = f" {counted(hidden, 'photo')} without a fault not shown." if hidden else ""
@@ -102,7 +102,7 @@ def _thumbnail(views: Views, view: View) -> tuple[str, tuple[int, int]] | None:
 
 
 def _card(view: View, picture: tuple[str, tuple[int, int]] | None, faults: dict[str, str]) -> Html:
-    kinds = [*faults, *(["held out"] if view.split == "test" else [])]
+    kinds = [*faults, *(["for testing"] if view.split == "test" else [])]
     badges = [tag("span", kind, class_=f"badge {kind.replace(' ', '-')}") for kind in kinds]
     name = view.source or view.name
     shown = tag("p", "unreadable", class_="none")
@@ -149,11 +149,12 @@ def camera_plans(model: SparseModel) -> Html:
         drawn.append(figure(plot, label))
     count, lost = len(model.cameras), len(model.lost)
     words = (
-        f"{counted(count, 'camera')}; {counted(lost, 'photo')} without one. "
-        f"{_coverage(model)} The circle is the ball that the object is taken to lie in."
+        f"Where the photos were taken: {counted(count, 'place')}; {counted(lost, 'photo')} without "
+        f"one. {_coverage(model)} The object is inside the circle."
     )
     key = joined(
-        tag("span", "training", class_="key train"), tag("span", "held out", class_="key test")
+        tag("span", "for learning", class_="key train"),
+        tag("span", "for testing", class_="key test"),
     )
     return joined(tag("p", words), tag("p", key), tag("div", *drawn, class_="pair"))
 

@@ -100,7 +100,7 @@ def checks_table(checks: Sequence[Check]) -> Html:
         found = check.found
         said = found if check.is_met else joined(found, tag("br"), tag("small", check.advice))
         rows.append((check.name, word, said))
-    return table(("check", "", "found"), rows, class_="checks") if rows else Html("")
+    return table(("check", "met", "found"), rows, class_="checks") if rows else Html("")
 
 
 def notes_list(notes: Sequence[str]) -> Html:

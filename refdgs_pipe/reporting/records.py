@@ -6,10 +6,11 @@ from pathlib import Path
 
 from refdgs_pipe.artifacts.asset import Asset, AssetFile
 from refdgs_pipe.artifacts.scores import VIEW_FIGURES, Scores
-from refdgs_pipe.formatting import duration, figure, size
-from refdgs_pipe.reporting import plots
+from refdgs_pipe.formatting import counted, duration, figure, size
+from refdgs_pipe.reporting import meanings, plots
 from refdgs_pipe.reporting.facts import Drawing, Facts, Result
 from refdgs_pipe.reporting.html import Content, Html, joined, table, tag
+from refdgs_pipe.stage_words import doing
 
 _LABELS = {
     "psnr": ("PSNR", "dB", 2),
@@ -39,35 +40,54 @@ _SURFACE = {
 def scores(facts: Facts, _: Drawing) -> Html:
     """The evaluation's figures: means, the surface's, and each view's."""
     found = facts.load(Scores)
-    kind = "held-out" if found.split == "test" else "training (none was held out)"
+    kind = "kept for testing" if found.split == "test" else "used for learning (none was kept)"
     rows: list[tuple[Content, ...]] = []
+    absent: dict[str, list[str]] = {}  # reason -> labels
     for name in VIEW_FIGURES:
         label, unit, digits = _LABELS.get(name, (name, "", 4))
         value = found.mean(name)
-        words = "not computed" if value is None else f"{value:.{digits}f} {unit}".rstrip()
-        rows.append((label, words, facts.plain(found.notes.get(name, ""))))
-    rows += _surface(facts, found)
-    rows += _materials(facts, found)
+        if value is None:
+            absent.setdefault(facts.plain(found.notes.get(name, "")), []).append(label)
+        else:
+            meaning = meanings.SCORES.get(name, "")
+            rows.append((label, f"{value:.{digits}f} {unit}".rstrip(), meaning))
+    rows += _surface(found)
+    rows += _materials(found)
+    for name, label in (("surface", "distance to the true surface"), ("materials", "materials")):
+        if getattr(found, name) is None:
+            absent.setdefault(facts.plain(found.notes.get(name, "")), []).append(label)
+    used = [n for n in VIEW_FIGURES if any(getattr(view, n) is not None for view in found.views)]
     views = [
-        (view.name, *(_cell(getattr(view, name), _LABELS[name][2]) for name in VIEW_FIGURES))
+        (view.name, *(_cell(getattr(view, name), _LABELS[name][2]) for name in used))
         for view in sorted(found.views, key=lambda view: view.psnr)
     ]
-    names = tuple(_LABELS[name][0] for name in VIEW_FIGURES)
-    each = tag("details", tag("summary", "Each view"), table(("view", *names), list(views)))
-    words = f"Means over {len(found.views)} {kind} views. docs/evaluation.md says what each means."
-    return joined(tag("p", words), table(("figure", "value", "remark"), rows), _parts(found), each)
+    names = tuple(_LABELS[name][0] for name in used)
+    each = tag("details", tag("summary", "Each photo"), table(("photo", *names), list(views)))
+    words = f"Means over {counted(len(found.views), 'photo')} {kind}."
+    figures = table(("figure", "value", "what it means"), rows, class_="meant")
+    return joined(tag("p", words), figures, _absent(absent), _parts(found), each)
 
 
-def _materials(facts: Facts, found: Scores) -> list[tuple[Content, ...]]:
+def _absent(absent: dict[str, list[str]]) -> Html:
+    """What was not measured: one line for each reason."""
+    lines = [
+        tag("li", ", ".join(labels), f": {reason}" if reason else "")
+        for reason, labels in absent.items()
+    ]
+    return joined(tag("p", "Not measured:"), tag("ul", *lines)) if lines else Html("")
+
+
+def _materials(found: Scores) -> list[tuple[Content, ...]]:
     score = found.materials
     if score is None:
-        return [("materials", "not computed", facts.plain(found.notes.get("materials", "")))]
+        return []
     rank = "all alike" if score.roughness_rank is None else f"{score.roughness_rank:.3f}"
-    return [
-        ("base colour", f"{score.base_color_rmse:.4f}", "linear RGB, scale-invariant RMSE"),
-        ("roughness order", rank, "rank correlation with the truth over the materials"),
-        ("metal told right", f"{score.metallic_right:.1%}", "of the texels"),
-    ]
+    values = {
+        "base colour": f"{score.base_color_rmse:.4f}",
+        "roughness order": rank,
+        "metal told right": f"{score.metallic_right:.1%}",
+    }
+    return [(name, value, meanings.MATERIALS[name]) for name, value in values.items()]
 
 
 def _parts(found: Scores) -> Html:
@@ -90,19 +110,19 @@ def _parts(found: Scores) -> Html:
     return table(head, rows)
 
 
-def _surface(facts: Facts, found: Scores) -> list[tuple[Content, ...]]:
+def _surface(found: Scores) -> list[tuple[Content, ...]]:
     surface = found.surface
     if surface is None:
-        return [("surface", "not computed", facts.plain(found.notes.get("surface", "")))]
+        return []
     rows: list[tuple[Content, ...]] = []
     for name, label in _SURFACE.items():
         percent = surface.percent(getattr(surface, name))
         words = "not computed" if percent is None else f"{percent:.3f} %"
-        rows.append((label, words, "of the diagonal of the true surface's box"))
+        rows.append((label, words, meanings.SURFACE))
     for name, part in (("f_score_half_percent", "0.5 %"), ("f_score_one_percent", "1 %")):
         value = getattr(surface, name)
         words = "not computed" if value is None else f"{value:.4f}"
-        rows.append((f"F-score, {part}", words, f"share within {part} of the diagonal"))
+        rows.append((f"F-score, {part}", words, meanings.F_SCORE))
     return rows
 
 
@@ -113,21 +133,14 @@ def _cell(value: float | None, digits: int) -> str:
 def files(facts: Facts, _: Drawing) -> Html:
     """The exported files, and what the validators say of them as they lie there now."""
     found, folder = facts.load(Asset), facts.folder(Asset)
-    result = facts.result(Asset)
     rows: list[tuple[Content, ...]] = []
     for file in found.files:
         faults = _faults(folder, file)
         verdict = tag("b", "bad" if faults else "ok", class_="bad" if faults else "ok")
-        words = joined(verdict, f" {'; '.join(faults[:3])}") if faults else verdict
-        rows.append((file.name, size(file.bytes), words, _checks(file.name)))
-    facts_of = [
-        f"{name}: {figure(value)} {unit}".rstrip()
-        for name, (value, unit) in (result.measures if result else {}).items()
-    ]
-    return joined(
-        table(("file", "size", "check", "what was checked"), rows),
-        tag("p", "; ".join(facts_of), class_="hint"),
-    )
+        told = joined(verdict, f" {'; '.join(faults[:3])}") if faults else verdict
+        rows.append((file.name, size(file.bytes), told, _checks(file.name)))
+    words = "Each file was read again and checked as it lies in the folder now."
+    return joined(tag("p", words), table(("file", "size", "check", "what was checked"), rows))
 
 
 def _faults(folder: Path, file: AssetFile) -> list[str]:
@@ -157,22 +170,29 @@ def stages(facts: Facts, _: Drawing) -> Html:
     """How long each stage took, and whether the last run made or reused it."""
     rows: list[tuple[Content, ...]] = []
     lengths = []
+    figures: list[tuple[Content, ...]] = []
     for result in facts.results:
-        words, kind = _cache(facts, result)
+        when, kind = _cache(facts, result)
         made = result.manifest
         took = duration(made.seconds) if made else ""
-        figures = ", ".join(
-            f"{name} {figure(value)} {unit}".rstrip()
-            for name, (value, unit) in result.measures.items()
-        )
         key = made.origin.key if made else ""
-        rows.append((result.name, took, words, facts.plain(figures), tag("code", key)))
+        rows.append((result.name, doing(result.name), took, when, tag("code", key)))
         lengths.append((result.name, made.seconds if made else 0.0, f"{took} {kind}", kind))
+        figures += [
+            (
+                f"{result.name}: {name}",
+                facts.plain(f"{figure(value)} {unit}".rstrip()),
+                meanings.measured(name),
+            )
+            for name, (value, unit) in result.measures.items()
+        ]
     hits = sum(kind == "reused" for _, _, _, kind in lengths)
+    every = table(("figure", "value", "what it means"), figures, class_="meant")
     return joined(
-        tag("p", f"{hits} of {len(rows)} results were reused by the last run that made anything."),
+        tag("p", f"The last run reused {hits} of {len(rows)} results, and made the others."),
         plots.bars(lengths),
-        table(("stage", "took", "cache", "figures", "key"), rows),
+        table(("stage", "what it does", "took", "made", "key"), rows),
+        tag("details", tag("summary", "Every figure of every stage"), every),
     )
 
 
@@ -193,14 +213,19 @@ def settings(facts: Facts, _: Drawing) -> Html:
     """The recipe, what was set by hand, and every setting."""
     changed = ", ".join(facts.changed) or "nothing"
     rows: list[tuple[Content, ...]] = [
-        (f"{stage}.{key}", facts.plain(json.dumps(value, ensure_ascii=False)))
+        (
+            f"{stage}.{key}",
+            facts.plain(json.dumps(value, ensure_ascii=False)),
+            _described(facts, stage, key),
+        )
         for stage, group in facts.settings.items()
         for key, value in group.items()
     ]
     words = tag(
         "p", "Recipe ", tag("b", facts.recipe), "; set by hand: ", facts.plain(changed), "."
     )
-    every = tag("details", tag("summary", "Every setting"), table(("setting", "value"), rows))
+    head = ("setting", "value", "what it means")
+    every = tag("details", tag("summary", "Every setting"), table(head, rows, class_="meant"))
     programs = {
         name: version
         for result in facts.results
@@ -211,3 +236,12 @@ def settings(facts: Facts, _: Drawing) -> Html:
     return joined(
         words, tag("p", f"Libraries that the results depend on: {used or 'none'}."), every
     )
+
+
+def _described(facts: Facts, stage: str, key: str) -> str:
+    """What a setting means, as its declaration says."""
+    for result in facts.results:
+        if result.name == stage:
+            info = result.step.stage.params.model_fields.get(key)
+            return str(info.description or "") if info is not None else ""
+    return ""

@@ -24,7 +24,7 @@ from refdgs_pipe.metrics import psnr
 from refdgs_pipe.reporting import plots
 from refdgs_pipe.reporting.facts import Drawing, Facts
 from refdgs_pipe.reporting.html import Html, figure, image, joined, tag
-from refdgs_pipe.reporting.pictures import ERROR_FULL, eight_bits, error_map, webp, with_alpha
+from refdgs_pipe.reporting.pictures import eight_bits, error_map, webp, with_alpha
 
 F32 = NDArray[np.float32]
 DEVICE = "cpu"  # some small pictures: no GPU is worth waking up for them
@@ -41,8 +41,8 @@ def training(facts: Facts, _: Drawing) -> Html:
     fit = plots.curve([(step, y) for step, _, y in curve], label="PSNR over steps")
     return tag(
         "div",
-        figure(loss, "Loss over the steps of training, running mean"),
-        figure(fit, "PSNR of the training photos, dB, running mean"),
+        figure(loss, "What training makes small, over its steps; lower is better"),
+        figure(fit, "Likeness to the photos of the training (PSNR, dB); higher is better"),
         class_="pair",
     )
 
@@ -65,25 +65,25 @@ def comparisons(facts: Facts, drawing: Drawing) -> Html:
         photo = load_photo(views, model, camera, scale=scale)
         target = _over_white(photo)
         drawn = render_image(field, photo.camera, device=DEVICE, threads=drawing.threads)
-        shown = [("render", drawn)]
+        shown = [("learned", drawn)]
         if relit is not None:
             behind = drawn if photo.mask is None else np.ones_like(drawn)
             color, alpha = relit(photo.camera)
             over = color * alpha[..., None] + behind * (1 - alpha[..., None])
-            shown.append(("relit asset", over.astype(np.float32)))
+            shown.append(("asset", over.astype(np.float32)))
         rows.append(_row(views[camera.name].source or camera.name, photo, target, shown))
-    kind = "held out from training" if held else "used in training (none was held out)"
+    kind = "were kept for testing" if held else "were used for learning too (none was kept)"
     words = (
-        f"Views {kind}, from the worst to the best by PSNR. The error is the mean absolute "
-        f"difference of the channels; {ERROR_FULL:g} of white or more is the brightest colour. "
-        "The relit asset is the exported mesh with its textures, drawn in its environment.hdr."
+        f"These photos {kind}. The worst comes first. Beside each photo: what was learned, drawn "
+        "from the same place; the finished asset in the light that was found; and where the two "
+        "differ, bright where they differ most."
     )
     open_ones = {0, len(rows) // 2, len(rows) - 1}  # worst, middle, best; the others on demand
     first = [row for i, row in enumerate(rows) if i in open_ones]
     more = [row for i, row in enumerate(rows) if i not in open_ones]
     others = Html("")
     if more:
-        others = tag("details", tag("summary", counted(len(more), "more view")), *more)
+        others = tag("details", tag("summary", counted(len(more), "more photo")), *more)
     return joined(tag("p", words), *first, others)
 
 
@@ -117,8 +117,9 @@ def _row(name: str, photo: Photo, target: F32, shown: list[tuple[str, F32]]) -> 
 
     pictures = [picture(eight_bits(target), "photo")]
     pictures += [picture(eight_bits(drawn), kind) for kind, drawn in shown]
-    pictures.append(picture(error_map(shown[0][1], target, seen), "error"))
+    pictures.append(picture(error_map(shown[0][1], target, seen), "difference"))
     words = ", ".join(f"{kind} {quality(drawn)}" for kind, drawn in shown)
+    words = f"likeness (PSNR): {words}"
     class_ = "triple" if len(pictures) == 3 else "quad"
     return tag(
         "div", tag("h3", name, tag("small", f" {words}")), tag("div", *pictures, class_=class_)
@@ -136,9 +137,9 @@ def maps(facts: Facts, drawing: Drawing) -> Html:
         sized = camera.fitted(_LONGEST)
         seen = render_surface_map(field, sized, device=DEVICE, threads=drawing.threads)
         layers: tuple[tuple[str, F32], ...] = (
-            ("normal, world", seen.normal * 0.5 + 0.5),
-            ("diffuse", srgb_from_linear(seen.diffuse)),
-            ("roughness, white is rough", seen.roughness),
+            ("surface direction", seen.normal * 0.5 + 0.5),
+            ("colour without reflections", srgb_from_linear(seen.diffuse)),
+            ("roughness: white is rough", seen.roughness),
             ("reflections", srgb_from_linear(seen.specular)),
         )
         size = (sized.width, sized.height)
@@ -150,9 +151,8 @@ def maps(facts: Facts, drawing: Drawing) -> Html:
         ]
         rows.append(tag("div", *pictures, class_="quad"))
     words = (
-        "What the field holds: pixels of the object only. Normals are in the world's axes, "
-        "n / 2 + 1/2. Reflections are the light that the surface mirrors; brighter than white is "
-        "clipped."
+        "What was learned of the object, before it became a mesh with textures. The colour of the "
+        "surface direction says where the surface faces. Reflections are the light that it mirrors."
     )
     return joined(tag("p", words), *rows)
 
@@ -161,16 +161,20 @@ def surroundings(facts: Facts, _: Drawing) -> Html:
     """The light that the object stood in, as it mirrors it."""
     path = facts.folder(Asset) / "environment.hdr"
     if not path.exists():
-        return tag("p", "The export holds none: the field is matte, or older.", class_="none")
+        return tag(
+            "p",
+            "There is none: the object was learned as matte, or by an older version.",
+            class_="none",
+        )
     light = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     if light is None:
         raise CorruptError(f"{path.name}: not a readable picture")
     pixels = webp(eight_bits(srgb_from_linear(np.asarray(light[..., ::-1], np.float32))))
     size = (light.shape[1], light.shape[0])
     words = (
-        "environment.hdr: what a perfect mirror in the object's place would show, up above, the "
-        "front (+Z) in the middle, the right (+X) on its left. Sides that the photos did not see "
-        "mirrored are guesses. Brighter than white is clipped here."
+        "The light around the object, as its reflections show it (environment.hdr). The middle is "
+        "in front of the object, its right side is on the left. Sides that nothing mirrored are "
+        "guesses."
     )
     picture = image(pixels, "lat-long picture of the surroundings", size, class_="wide")
     return joined(tag("p", words), picture)

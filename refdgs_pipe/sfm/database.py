@@ -14,6 +14,7 @@ EXHAUSTIVE_UP_TO = 150  # photos; above it neighbours in name order are matched 
 OVERLAP = 10  # neighbours that a photo of a long series is matched with
 WITHOUT_EXIF = 1.2  # focal length by the long side, COLMAP's own guess
 LENS = "SIMPLE_RADIAL"  # one focal length, one distortion: more run away on the first pair
+FAINT = 0.5  # of COLMAP's own threshold of contrast
 
 
 def register(database: Path, shots: tuple[Shots, ...]) -> None:
@@ -60,7 +61,8 @@ def extract(
     options.sift.first_octave = effort.first_octave
     options.sift.max_num_features = effort.max_features
     options.sift.estimate_affine_shape = options.sift.domain_size_pooling = effort.affine
-    options.sift.peak_threshold *= effort.contrast
+    if effort.faint:
+        options.sift.peak_threshold *= FAINT
     step = PHOTOS_A_STEP * effort.threads
     for start in range(0, len(files), step):
         progress("finding features", start, len(files))

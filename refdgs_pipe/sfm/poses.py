@@ -54,8 +54,7 @@ class Effort:
         first_octave: -1 doubles the photos first; None does so for small ones, where the finest
             features are most of what there is: on 640 pixels it halves the error of the poses.
         threads: changes the time, not the result.
-        contrast: factor on COLMAP's threshold of contrast; less than 1 finds fainter features
-            too, as on plain surfaces.
+        faint: also features of low contrast, as on plain glossy surfaces.
         affine: shape and scale of each feature are adapted to steep views, and matches are looked
             for again along the epipolar lines. Some five times slower.
     """
@@ -64,7 +63,7 @@ class Effort:
     max_features: int
     first_octave: int | None
     threads: int
-    contrast: float = 1.0
+    faint: bool = False
     affine: bool = False
 
     def for_photos(self, sizes: Mapping[str, tuple[int, int]]) -> "Effort":

@@ -22,7 +22,6 @@ from refdgs_pipe.sfm.trust import standing
 GOOD = 0.9  # share of photos trusted above which the slow rungs are not worth their time
 HOPE = 0.25  # share of photos trusted below which adapting features will not reach enough
 SLOW_FEATURES = 4096  # of a photo, on the rung that adapts each feature
-FAINT, FAINTEST = 0.5, 0.18  # of COLMAP's threshold of contrast
 
 Run = Callable[[dict[str, Any]], tuple[Poses, tuple[str, ...]]]
 
@@ -59,8 +58,8 @@ def solve(
 
     Around a still object the background helps, on a turntable it misleads: with `masks` "auto"
     everything counts at first, then only the object, then only the background. Rungs:
-    as the settings say; finer features; finer and fainter ones, twice; the masks; features adapted
-    to steep views.
+    as the settings say; finer features; finer and fainter ones; the masks; features adapted to
+    steep views.
 
     Args:
         run: calls `colmap.reconstruct` with these arguments, in a process of its own.
@@ -140,14 +139,12 @@ def _rungs(effort: Effort, masks: MaskUse | Literal["auto"], *, is_masked: bool)
     """The ladder. Trust in every photo ends it, in 90 % of them the slow rungs."""
     first: MaskUse = "none" if masks == "auto" or not is_masked else masks
     finer = replace(effort, first_octave=-1)
-    fainter = replace(finer, contrast=FAINT)
-    faintest = replace(finer, contrast=FAINTEST)
+    fainter = replace(finer, faint=True)
     slow = replace(fainter, affine=True, max_features=min(effort.max_features, SLOW_FEATURES))
     yield Rung("features as set", "first", effort, first, 1.0)
     if effort.first_octave != -1:
         yield Rung("finer features", "finer", finer, first, 1.0)
     yield Rung("finer and fainter features", "fainter", fainter, first, GOOD)
-    yield Rung("finer and faintest features", "faintest", faintest, first, GOOD)
     if masks == "auto" and is_masked:
         yield Rung("features on the object only", "object", finer, "object", GOOD)
         yield Rung("features around the object only", "around", finer, "background", GOOD)

@@ -25,23 +25,25 @@ def test_run_prints_the_asset_on_stdout_and_the_rest_on_stderr(shell: Shell) -> 
     lines = [re.sub(r"[\d.]+ s", "T", line) for line in result.stderr.splitlines()]
     assert lines.pop() == f"report: {shell.work / 'report.html'}"
     assert lines == [
-        "read: never run",
+        "read: running",
         "read: done in T",
-        "shout: never run",
+        "shout: running",
         "shout: done in T",
-        "export: never run",
+        "export: writing the files",
         "export: done in T",
-        "report: drawing",
+        "report: drawing the report",
         "",
-        "made read T, shout T, export T",
+        f"the asset is in {shell.work / 'asset'}",
         "  parts/0.bin  5.0 kB",
         "  parts/1.bin  6.0 kB",
         "  parts/2.bin  6.0 kB",
-        "  parts/3.bin  6.0 kB",
-        "  parts/4.bin  4.0 kB",
-        "  text  31 B",
-        "  faces: 12",
-        "finished, in T",
+        "  3 more       10.0 kB",
+        "time:",
+        "  read    T",
+        "  shout   T",
+        "  export  T",
+        "  report  T",
+        "finished in T",
     ]
 
 
@@ -85,20 +87,73 @@ def test_the_workspace_remembers_photos_recipe_and_settings(shell: Shell) -> Non
 def test_status_says_why_and_tries_settings_out(shell: Shell) -> None:
     shell("run", "letters", "-q")
     said = shell("status", "letters.refdgs", "--set", "shout.marks=3").stdout
-    assert "shout     stale  marks 1 -> 3\nexport    waiting  waits for shout\n" in said
+    assert [line.split(maxsplit=2) for line in said.splitlines()[1:]] == [
+        ["shout", "stale", "marks 1 -> 3"],
+        ["export", "waiting", "waits for shout"],
+    ]
+    assert (
+        len(
+            {
+                line.index(word)
+                for line, word in zip(said.splitlines()[1:], ("marks", "waits"), strict=True)
+            }
+        )
+        == 1
+    )
     assert "stale" not in shell("status", "letters.refdgs").stdout
+
+
+def test_status_of_a_workspace_that_is_worked_in_says_running(shell: Shell) -> None:
+    process = shell.start("run", "letters", FAKE_STEP_S="5")
+    try:
+        while "shouting" not in "".join(p.read_text() for p in shell.work.glob("logs/*")):
+            time.sleep(0.05)
+        said = shell("status", "letters.refdgs").stdout.splitlines()
+        running = shell.json("status", "letters.refdgs")["running"]
+    finally:
+        process.kill()
+        process.communicate()
+    assert said[0].startswith("running: shout, shouting ")
+    assert [line.split()[:2] for line in said if line.startswith("shout")] == [["shout", "running"]]
+    assert (running["stage"], running["label"], running["total"]) == ("shout", "shouting", 10)
+    assert shell.json("status", "letters.refdgs")["running"] is None
+
+
+def test_a_short_option_asks_for_help_too(shell: Shell) -> None:
+    assert shell("-h").stdout == shell("--help").stdout
+    assert shell("recipe", "list", "-h").stdout.startswith("Usage: refdgs-pipe recipe list")
+
+
+@pytest.mark.parametrize(
+    ("words", "offered"),
+    [
+        ("run p --recipe prev", "preview"),
+        ("run p --device cu", "cuda"),
+        ("run p --until sh", "shout"),
+        ("rerun w ex", "export"),
+        ("run p --set shout.m", "shout.marks="),
+        ("bench a --recipes glossy,mat", "glossy,matte"),
+    ],
+)
+def test_tab_offers_recipes_stages_settings_and_devices(
+    words: str, offered: str, shell: Shell
+) -> None:
+    said = shell(
+        _REFDGS_PIPE_COMPLETE="complete_zsh", _TYPER_COMPLETE_ARGS=f"refdgs-pipe {words}"
+    ).stdout
+    assert f'"{offered}"' in said.replace("\\", "")
 
 
 def test_a_dry_run_makes_nothing(shell: Shell) -> None:
     said = shell("run", "letters", "--dry-run").stdout
-    assert said.splitlines()[0] == "read      never run"
+    assert said.splitlines()[0] == "read    never run"
     assert not shell.work.exists()
     shell("run", "letters", "-q")
     said = shell("run", "letters", "--dry-run", "--from", "shout").stdout
     assert said.splitlines() == [
-        "read      up to date",
-        "shout     asked for again",
-        "export    asked for again",
+        "read    up to date",
+        "shout   asked for again",
+        "export  asked for again",
     ]
 
 
@@ -144,7 +199,8 @@ def test_adopt_and_drop(shell: Shell) -> None:
     (shell.root / "mine.txt").write_text("MINE")
     assert "adopted from mine.txt" in shell("adopt", "letters.refdgs", "shout", "mine.txt").stdout
     assert shell.json("run", "letters")["made"] == ["export"]
-    assert "shout     adopted from mine.txt" in shell("status", "letters.refdgs").stdout
+    said = shell("status", "letters.refdgs").stdout.splitlines()[1]
+    assert said.split(maxsplit=2) == ["shout", "adopted", "from mine.txt"]
     assert "its own result again" in shell("adopt", "letters.refdgs", "shout", "--drop").stdout
     assert shell.json("run", "letters")["made"] == []
     assert "give a file, or --drop" in shell("adopt", "letters.refdgs", "shout", code=64).stderr

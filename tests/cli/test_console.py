@@ -7,8 +7,10 @@ import pytest
 
 from refdgs_pipe.cli import console
 from refdgs_pipe.cli.console import Console, Estimate
+from refdgs_pipe.cli.forecast import Forecast
 from refdgs_pipe.cli.logs import RunLog
-from refdgs_pipe.formatting import counted, duration, figure, size
+from refdgs_pipe.formatting import counted, duration, figure, roughly, size
+from refdgs_pipe.pipeline.catalog import STAGES
 from refdgs_pipe.pipeline.events import (
     Damaged,
     Finished,
@@ -18,6 +20,7 @@ from refdgs_pipe.pipeline.events import (
     Started,
     Warned,
 )
+from refdgs_pipe.stage_words import DOING
 
 
 def test_durations_and_sizes_are_said_with_the_digits_that_matter() -> None:
@@ -63,34 +66,123 @@ class Clock:
         return self.now
 
 
-def test_plain_lines_come_now_and_then_with_the_time_left(
+def test_plain_lines_come_now_and_then_with_the_time_left_of_the_whole_run(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     clock = Clock()
     monkeypatch.setattr(console, "time", clock)
-    speak = Console({"train": None, "extract": 60.0})
+    speak = Console()
+    speak.forecast = Forecast({"train": 900.0, "extract": 60.0})
     speak(Started("train", "never run"))
     for second in range(100):
         clock.now = float(second)
-        speak(Progress("train", "training", second, 1000, "loss 0.1"))
+        speak(Progress("train", "training", second, 1000, "loss 0.1", second / 1000))
     speak(Finished("train", 99.0))
     assert capsys.readouterr().err.splitlines() == [
-        "train: never run",
-        "train: training 10/1000, loss 0.1, about 16 min 30 s left, 17 min 30 s in all",
-        "train: training 40/1000, loss 0.1, about 16 min left, 17 min in all",
-        "train: training 70/1000, loss 0.1, about 15 min 30 s left, 16 min 30 s in all",
+        "train: learning shape and reflections",
+        "train: training 10/1000, loss 0.1, about 18 min left in all",
+        "train: training 40/1000, loss 0.1, about 17 min left in all",
+        "train: training 70/1000, loss 0.1, about 16 min left in all",
         "train: done in 1 min 39 s",
     ]
 
 
-def test_a_stage_that_never_ran_leaves_the_whole_run_unestimated() -> None:
-    speak = Console({"extract": 60.0, "clean": None})
-    assert speak._left(30.0) == "about 30 s left"
-    assert speak._left(None) == ""
+def test_the_time_left_is_never_none_and_never_a_tenth_of_a_second(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    clock = Clock()
+    monkeypatch.setattr(console, "time", clock)
+    speak = Console()
+    speak(Started("bake", "never run"))
+    for second in range(0, 60, 5):
+        clock.now = float(second)
+        speak(Progress("bake", "gathering texels", min(second, 40), 40))
+    said = capsys.readouterr().err
+    assert " 0.0 s" not in said and "some seconds left in this part" not in said.splitlines()[-1]
+
+
+def test_a_part_of_a_stage_does_not_hide_the_parts_after_it() -> None:
+    whole = Forecast({"sfm": 100.0, "train": 300.0})
+    assert whole.left_s("sfm", 10.0, 2.0, sure=False) == pytest.approx(390.0)
+    assert whole.left_s("sfm", 10.0, 2.0, sure=True) == pytest.approx(302.0)
+
+
+def test_a_slow_machine_makes_the_rest_of_the_forecast_longer() -> None:
+    whole = Forecast({"sfm": 100.0, "train": 300.0})
+    whole.finished("sfm", 300.0)
+    assert whole.expect("train") == pytest.approx(300.0 * 315 / 115)
+
+
+def test_a_busy_machine_is_said_and_counted() -> None:
+    whole = Forecast({"train": 300.0}, busy=4.0)
+    assert whole.expect("train") == pytest.approx(1200.0)
+    assert "about 4 times as slow" in whole.lines()[0]
+
+
+def test_the_plan_says_the_whole_run_and_each_stage_in_columns() -> None:
+    lines = Forecast({"sfm": 40.0, "train": 540.0, "report": 12.0}, 190_000_000).lines()
+    assert lines == [
+        "the rest of the run takes about 10 min and fills about 190 MB of the disk:",
+        "  sfm     about 40 s   finding the cameras",
+        "  train   about 9 min  learning shape and reflections",
+        "  report  about 10 s   drawing the report",
+    ]
+
+
+def test_a_training_that_goes_on_says_from_which_step(capsys: pytest.CaptureFixture[str]) -> None:
+    speak = Console()
+    speak(Started("train", "never run"))
+    speak(Progress("train", "training", 3010, 5000))
+    assert "train: training from step 3010" in capsys.readouterr().err.splitlines()
+
+
+def test_a_stage_that_is_made_again_says_what_it_does_and_why(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    Console()(Started("extract", "voxel 0.004 -> 0.002"))
+    assert capsys.readouterr().err == "extract: making a mesh (voxel 0.004 -> 0.002)\n"
+
+
+def test_every_stage_of_the_product_has_words() -> None:
+    assert [name for name in (*STAGES, "start", "shape", "refine") if name not in DOING] == []
+
+
+def test_twenty_equal_warnings_are_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
+    speak = Console()
+    for number in range(20):
+        speak(Warned("ingest", f"IMG_{number}.jpg: the clock is wrong"))
+    speak(Warned("ingest", "no masks: edges are guessed"))
+    speak(Finished("ingest", 1.0))
+    assert capsys.readouterr().err.splitlines()[:2] == [
+        "ingest: warning: IMG_0.jpg and 19 more: the clock is wrong",
+        "ingest: warning: no masks: edges are guessed",
+    ]
+
+
+def test_a_warning_before_an_error_is_not_lost(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(RuntimeError), Console() as speak:
+        speak(Warned("train", "no memory"))
+        raise RuntimeError
+    assert capsys.readouterr().err == "warning: no memory\n"
+
+
+def test_estimates_are_said_coarsely() -> None:
+    values = (0.0, 7.0, 12.0, 44.0, 58.0, 200.0, 1500.0, 7200.0, 80_000.0)
+    assert [roughly(value) for value in values] == [
+        "some seconds",
+        "some seconds",
+        "about 10 s",
+        "about 40 s",
+        "about 1 min",
+        "about 3 min",
+        "about 25 min",
+        "about 2.0 h",
+        "about 22 h",
+    ]
 
 
 def test_quiet_says_only_what_is_wrong(capsys: pytest.CaptureFixture[str]) -> None:
-    speak = Console({}, verbosity=0)
+    speak = Console(verbosity=0)
     speak(Started("sfm", "never run"))
     speak(Measured("sfm", "points", 3))
     speak(Warned("sfm", "2 photos lost"))
@@ -102,7 +194,7 @@ def test_quiet_says_only_what_is_wrong(capsys: pytest.CaptureFixture[str]) -> No
 
 
 def test_verbose_says_every_figure(capsys: pytest.CaptureFixture[str]) -> None:
-    Console({}, verbosity=2)(Measured("train", "PSNR", 27.123456, "dB"))
+    Console(verbosity=2)(Measured("train", "PSNR", 27.123456, "dB"))
     assert capsys.readouterr().err == "train: PSNR 27.12 dB\n"
 
 

@@ -9,7 +9,7 @@ import pytest
 from refdgs_pipe.artifacts.object_figures import ObjectFigures
 from refdgs_pipe.cli import running
 from refdgs_pipe.cli.running import Options
-from refdgs_pipe.cli.verdict import closing_lines, is_draft, verdict_of
+from refdgs_pipe.cli.verdict import closing_lines, is_draft, to_do, verdict_of
 from refdgs_pipe.cli.workspace import Memory, Workspace, open_workspace
 from refdgs_pipe.evaluation.verdict import Verdict, judged
 from refdgs_pipe.pipeline import catalog
@@ -35,13 +35,17 @@ def space(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Workspace:
 def test_the_worst_is_said_first_and_what_to_do_about_it() -> None:
     lines = closing_lines(POOR)
     assert lines[0] == "verdict: poor"
-    assert lines[1].startswith("  ") and ": poor, " in lines[1]
-    assert "take" in lines[1]
+    assert lines[1].startswith("  Many photos could not be used") and "(8 of 20)" in lines[1]
     assert lines[4] == "  and 1 more in the report"
-    assert (
-        lines[-1] == "  size unknown: a unit is taken for a metre: give --size METRES, or use a mat"
-    )
-    assert closing_lines(FAIR)[0] == "verdict: fair: a first look"
+    assert closing_lines(FAIR)[0] == "verdict: fair, a first look"
+
+
+def test_what_to_do_begins_with_the_full_recipe_after_a_first_look(space: Workspace) -> None:
+    steps = to_do(space, FAIR)
+    command = f"refdgs-pipe run {space.memory.photos[0]} --recipe glossy"
+    assert steps[0] == f"make it at full quality: {command}"
+    assert steps[1].startswith("train longer") and len(steps) == len(set(steps))
+    assert not any("full quality" in step for step in to_do(space, POOR))
 
 
 @pytest.mark.parametrize(("verdict", "code"), [(POOR, 3), (FAIR, 0), (None, 0)])
@@ -61,7 +65,7 @@ def test_strict_fails_on_a_poor_result(
     assert record["verdict"] == (verdict and verdict.record())
     if verdict is not None:
         assert record["verdict"]["word"] == verdict.word
-        assert {"about", "word", "value", "advice"} == set(record["verdict"]["reasons"][0])
+        assert {"about", "word", "value", "advice", "plain"} == set(record["verdict"]["reasons"][0])
 
 
 def test_a_pipeline_without_scores_has_no_verdict_and_recipes_say_what_is_a_draft(

@@ -15,8 +15,9 @@ import pytest
 from refdgs_pipe.pipeline.store import Store
 from refdgs_pipe.reporting import asset, html, overview
 from refdgs_pipe.reporting import facts as facts_module
+from refdgs_pipe.reporting.dimensions import Dimensions, dimensions, is_size_known
 from refdgs_pipe.reporting.facts import Drawing, Facts, collect
-from refdgs_pipe.reporting.overview import Reason, judge, length_told
+from refdgs_pipe.reporting.overview import Reason, judge
 from refdgs_pipe.reporting.page import SECTIONS, page, write_report
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "google-chrome", "chrome"))), None)
@@ -119,7 +120,7 @@ def test_lost_and_blurred_photos_come_first_with_their_reason(text: str) -> None
     cards = re.findall(r'<figure class="photo([^"]*)".*?</figure>', body_of(text, "photos"))
     assert sorted(cards[:2]) == [" blurred", " lost"]
     assert "only 3 &lt;matches&gt;" in text
-    assert "1 lost" in text and "1 blurred" in text and "1 held out" in text
+    assert "1 lost" in text and "1 blurred" in text and "1 kept for testing" in text
 
 
 def test_names_of_files_cannot_break_the_page(text: str) -> None:
@@ -128,7 +129,7 @@ def test_names_of_files_cannot_break_the_page(text: str) -> None:
     assert "<b>bad.jpg" not in text and "&lt;b&gt;bad.jpg" in text
     assert "<i>" not in body_of(text, "settings")
     scripts = [attributes for tag, attributes in Reader(text).found if tag == "script"]
-    assert [script.get("id") for script in scripts] == ["glb", "light", "viewer", None]
+    assert [script.get("id") for script in scripts] == ["glb", "light", "seen", "viewer", None]
 
 
 def test_the_page_needs_nothing_but_itself(text: str) -> None:
@@ -189,8 +190,8 @@ def test_a_damaged_result_costs_only_its_own_sections(tmp_path: Path) -> None:
     made = page(found, Drawing(), problems)
     Reader(made)
     assert {problem.partition(":")[0] for problem in problems} == {
-        "Photo, render, error",
-        "Surface and reflections",
+        "Photo and result",
+        "What was learned",
     }
     assert "changed since it was written" in body_of(made, "files")
     assert body_of(made, "mesh").count("<img") > 10
@@ -205,11 +206,82 @@ def test_the_verdict_is_the_worst_of_what_was_measured_and_says_what_to_do(tmp_p
     assert opinion.reasons[-1].words == "three photos lost"
     made = overview.head(found)
     assert 'class="verdict poor"' in made
-    assert "loose bits of surface: 7, 30% of the surface" in made and "clean.floater" in made
+    assert "Much of the surface is loose pieces." in made
+    assert "Raise <code>clean.floater</code>" in made
+    assert "7, 30% of the surface" in made.partition("<details>")[2]
     fair = replace(finished.FINE, psnr=24.0, training_psnr=24.5)
     draft = replace(facts_of(tmp_path / "b", evidence=fair), draft=True)
     assert judge(draft).line.startswith("Fair: a first look.")
     assert judge(facts_of(tmp_path / "c", evidence=None)).word == "unjudged"
+
+
+def test_the_top_names_the_photos_to_take_again(text: str) -> None:
+    top = text.partition('id="verdict"')[2].partition("<nav")[0]
+    lost, blurred = (finished.CAMERAS[i].name for i in (5, 1))
+    assert f"Take photos between these and the others: {lost}.jpg" in top
+    assert f"Take these again, they are blurred: {blurred}.jpg" in top
+
+
+def test_a_first_look_says_how_to_get_the_full_quality(tmp_path: Path) -> None:
+    draft = replace(facts_of(tmp_path / "b"), draft=True)
+    assert "<code>refdgs-pipe run PHOTOS --recipe glossy</code>" in overview.head(draft)
+
+
+def test_equal_warnings_are_one_line(whole: Facts) -> None:
+    texts = [f"IMG_{i}.jpg: the clock is wrong" for i in range(20)]
+    manifest = whole.results[0].manifest
+    assert manifest is not None
+    loud = replace(whole.results[0], manifest=replace(manifest, warnings=tuple(texts)))
+    facts = replace(whole, results=(loud, *whole.results[1:]))
+    assert [r.words for r in judge(facts).reasons if r.about == "ingest"] == [
+        "IMG_0.jpg and 19 more: the clock is wrong"
+    ]
+
+
+def test_files_are_named_by_what_they_are_for(text: str) -> None:
+    rows = re.findall(r"<tr.*?</tr>", body_of(text, "delivery"), re.DOTALL)
+    game, ar = (next(row for row in rows if f">{use}</th>" in row) for use in ("Game", "AR"))
+    assert "asset.glb" in game and "asset.usdz" in ar
+
+
+def test_the_size_is_told_with_its_three_sides(text: str) -> None:
+    assert re.search(r"[\d.]+ x [\d.]+ x [\d.]+ c?m", body_of(text, "model"))
+    assert "The real size is unknown" in body_of(text, "model")
+
+
+def test_a_size_that_is_not_known_is_not_told_as_one() -> None:
+    assert not is_size_known("unknown: exported 1.21 m long. Give --size METRES, or use a mat")
+    assert is_size_known("0.23 m, given")
+
+
+@pytest.mark.parametrize(
+    ("sides", "words"),
+    [((0.23, 0.142, 0.151), "23 x 14.2 x 15.1 cm"), ((1.5, 1, 0.5), "1.5 x 1 x 0.5 m")],
+)
+def test_dimensions_have_the_unit_that_suits_them(
+    sides: tuple[float, float, float], words: str
+) -> None:
+    assert Dimensions(*sides).words == words
+
+
+def test_a_file_that_is_no_glb_has_no_dimensions(tmp_path: Path) -> None:
+    (tmp_path / "a.glb").write_bytes(b"glTF")
+    assert dimensions(tmp_path / "a.glb") is None
+    assert dimensions(tmp_path / "b.glb") is None
+
+
+def test_every_figure_and_setting_has_its_meaning(text: str) -> None:
+    cell = r'<td role="cell" data-label="what it means">(.*?)</td>'
+    scores, settings = (re.findall(cell, body_of(text, name)) for name in ("scores", "settings"))
+    assert scores and all(scores)
+    assert settings[0] == "texels along a side; a power of two"
+
+
+def test_words_of_the_trade_stay_in_the_figures(text: str) -> None:
+    figures = text.index('<section id="scores"')
+    hidden = r"<script.*?</script>|<style.*?</style>|<details>.*?</details>|<[^>]*>"
+    plain = re.sub(hidden, " ", text[:figures], flags=re.DOTALL)
+    assert [w for w in ("held out", "n / 2", "surfel", "texel", "chart") if w in plain] == []
 
 
 def test_what_did_not_come_to_its_end_has_a_state_instead_of_a_verdict(tmp_path: Path) -> None:
@@ -273,7 +345,14 @@ def test_markup_is_escaped_unless_it_is_markup() -> None:
 @pytest.mark.browser
 @pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
 def test_a_browser_shows_the_page_and_the_asset(text: str, tmp_path: Path) -> None:
-    click = "<script>document.getElementById('start-3d').click()</script></body>"
+    click = """<script>
+    document.getElementById('start-3d').click();
+    new MutationObserver((_, watch) => {
+      watch.disconnect();
+      document.querySelector('input[value=rough]').click();
+      document.getElementById('wire-3d').click();
+    }).observe(document.getElementById('choices-3d'), { attributes: true });
+    </script></body>"""
     (tmp_path / "report.html").write_text(text.replace("</body>", click))
     run = subprocess.run(
         [
@@ -289,11 +368,7 @@ def test_a_browser_shows_the_page_and_the_asset(text: str, tmp_path: Path) -> No
         check=True,
     )
     assert 'data-state="loaded"' in run.stdout
+    assert "White is rough, black is a mirror." in run.stdout.partition('id="told-3d"')[2][:200]
     said = [line for line in run.stderr.splitlines() if "CONSOLE" in line]
-    assert [line for line in said if "rAF timed out" not in line] == []
-
-
-def test_the_tile_of_the_size_is_short() -> None:
-    told = "unknown: exported 1.21 m long. Give --size METRES, or use a mat"
-    assert length_told(told) == ("1.21 m", ", size unknown")
-    assert length_told("0.23 m, given") == ("0.23 m", ", given")
+    usual = ("rAF timed out", "RGBELoader")  # the viewer's own remarks
+    assert [line for line in said if not any(word in line for word in usual)] == []

@@ -1,0 +1,26 @@
+"""What each stage does, in the words that the terminal and the report use."""
+
+DOING = {
+    "ingest": "reading the photos",
+    "sfm": "finding the cameras",
+    "gate": "checking the cameras",
+    "masks": "finding the object in the photos",
+    "start": "finding a first shape",
+    "train": "learning shape and reflections",
+    "shape": "making a surface of what was learned",
+    "refine": "refining shape and reflections",
+    "extract": "making a mesh",
+    "clean": "cleaning the mesh",
+    "appearance": "telling material from light",
+    "unwrap": "unfolding the mesh for textures",
+    "bake": "painting the textures",
+    "export": "writing the files",
+    "evaluate": "comparing the result with the photos",
+    "report": "drawing the report",
+    "check": "looking at the photos",
+}
+
+
+def doing(stage: str) -> str:
+    """What a stage does: "finding the cameras". A stage without an entry is only "running"."""
+    return DOING.get(stage, "running")
