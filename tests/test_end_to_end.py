@@ -21,10 +21,10 @@ from scenes import glossy_pair, orbit
 
 SMALL = {
     "train.iterations": 40,
-    "train.volume_steps": 20,
-    "train.surfels": 1500,
+    "start.volume_steps": 20,
+    "start.surfels": 1500,
     "train.max_surfels": 2000,
-    "train.local_surfels": 500,
+    "start.local_surfels": 500,
     "train.max_local_surfels": 600,
     "train.environment_height": 16,
     "extract.voxel": 0.02,

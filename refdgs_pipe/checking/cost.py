@@ -49,8 +49,8 @@ def cost(look: Look, recipe: str, about: str, settings: Settings, *, cores: int)
     work = count * (look.megapixels or 1.0) * READ_MPX_S
     if not look.is_known:
         work += _placing(count, _pixels(shape, settings["sfm"].max_side, look.megapixels))
-    train, bake = settings["train"], settings["bake"]
-    pixels = _pixels(shape, min(train.max_side, settings["ingest"].max_side), look.megapixels)
+    start, train, bake = (settings[name] for name in ("start", "train", "bake"))
+    pixels = _pixels(shape, min(start.max_side, settings["ingest"].max_side), look.megapixels)
     step = STEP_S + STEP_MPX_S * pixels
     step *= max(train.max_surfels / SURFELS, 0.25) * (1.0 if train.reflection else PLAIN)
     work += train.iterations * step

@@ -25,7 +25,7 @@ from refdgs_pipe.pipeline.events import Emit, Event, Finished, Started
 from refdgs_pipe.pipeline.plan import Step
 from refdgs_pipe.pipeline.runner import Request, run
 
-TRAINING = "train"  # the stage that takes long
+TRAINING = "start"  # the first of the stages that take long
 DEGRADED = 3  # exit code of --strict when there were warnings, or the result is poor
 
 

@@ -10,6 +10,7 @@ import torch
 from emulation import emulated
 from torch import Tensor
 from training.test_trainer import SMALL, capture
+from training_runs import trainer_of
 
 from refdgs_pipe.errors import TrainingError
 from refdgs_pipe.ops import Plan, Readback, addresses
@@ -24,14 +25,14 @@ SHORT = {
     "surfels": 100,
     "local_surfels": 60,
     "densify_every": 5,
-    "start": "ball",
+    "masked": "ball",
     "reflect_from": 0.0,
     "local_from": 0.0,
     "specular_from": 0.4,
 }
 
 
-BRIEF = {"iterations": 4, "surfels": 60, "start": "ball"}  # the third step is recorded
+BRIEF = {"iterations": 4, "surfels": 60, "masked": "ball"}  # the third step is recorded
 
 
 class Tape:
@@ -84,15 +85,15 @@ def trained(
 ) -> tuple[Trainer, Tape | None, list[str]]:
     """A short training with the emulated kernels and planned lists, and what it warned of."""
     views, model = capture(folder / "views", size=20, masked=masked)
-    params = SMALL.model_copy(update={**SHORT, **settings})
-    trainer, warnings = Trainer(views, model, params, folder), list[str]()
+    params = SMALL.but(**{**SHORT, **settings})
+    trainer, warnings = trainer_of(views, model, params, folder), list[str]()
     trainer.plan, trainer._later = Plan("cpu"), Readback("cpu", lag=2)
     made = None if tape is None else tape(trainer)
     trainer.steps = RecordedSteps(trainer.field, made, insists=insists, warn=warnings.append)
     if change is not None:
         change(trainer)
     with emulated():
-        for _ in range(params.iterations):
+        for _ in range(params.train.iterations):
             trainer.step()
         trainer._read(all_of_them=True)
     return trainer, made, warnings
