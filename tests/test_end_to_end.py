@@ -110,6 +110,7 @@ def test_a_capture_becomes_an_asset_and_only_what_changed_is_made_again(tmp_path
     followers = ["extract", "clean", "appearance", "unwrap", "bake", "export"]
     again = run("run", photos, extract__voxel=0.025)["made"]
     assert [name for name in again if name != "evaluate"] == followers
+    assert run("run", photos, "--until", "refine", refine__surfels=1.2)["made"] == ["refine"]
     assert run("run", photos)["made"] == []
 
 

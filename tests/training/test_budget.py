@@ -11,7 +11,7 @@ from refdgs_pipe.artifacts.sparse_model import Ball, SparseModel
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.errors import DeviceError
 from refdgs_pipe.training import budget
-from refdgs_pipe.training.settings import TrainParams
+from refdgs_pipe.training.settings import StartParams, TrainParams
 
 PARAMS = TrainParams()
 START = replace(start(), max_side=800, surfels=20_000, background_surfels=60_000)
@@ -116,3 +116,21 @@ def test_running_out_for_good_is_an_error() -> None:
 
     with pytest.raises(DeviceError, match="runs out even at"):
         budget.train_within(Starving, LOAD, print, lambda text: None)  # type: ignore
+
+
+def test_a_first_look_that_runs_out_of_memory_is_at_smaller_pictures() -> None:
+    said: list[str] = []
+
+    def look(params: StartParams) -> float:
+        if params.look_scale > 0.4:
+            raise torch.cuda.OutOfMemoryError("no more")
+        return params.look_scale
+
+    assert 0.3 < budget.start_within(look, StartParams(), said.append) <= 0.4
+    assert said[0].endswith("the first look is at 0.42 of the photos' size") and len(said) == 2
+
+
+def test_a_start_has_no_more_surfels_than_there_is_memory_for() -> None:
+    smaller = budget._smaller(replace(LOAD, start=replace(START, max_side=256)), pixels=False)
+    assert smaller.params.max_surfels < PARAMS.max_surfels
+    assert smaller.start.surfels == 15_000 and smaller.start.background_surfels == 45_000
