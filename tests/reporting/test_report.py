@@ -261,10 +261,10 @@ def test_both_parts_of_a_training_give_one_curve(tmp_path: Path) -> None:
     other = done["refine"] | {"seconds": 1.0}
     first = [*told("train", 10, 200), done["train"], *told("refine", 210, 300), other]
     finished.log(store, *first, name="1")
-    finished.log(store, *told("refine", 210, 220), name="2")  # with other settings, and killed
-    finished.log(store, *told("refine", 230, 300), done["refine"], name="3")
+    finished.log(store, *told("refine", 210, 260), name="2")  # with other settings, and killed
+    finished.log(store, *told("refine", 290, 300), done["refine"], name="3")
     curve = facts_of(store.root, until="refine").notes.curve
-    assert [step for step, _, _ in curve] == [10, 200, 210, 220, 230, 300]
+    assert [step for step, _, _ in curve] == [10, 200, 210, 260, 290, 300]
 
 
 def test_a_page_with_nothing_new_to_say_is_left_alone(whole: Facts, tmp_path: Path) -> None:
