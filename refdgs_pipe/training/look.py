@@ -95,6 +95,8 @@ def look(
 
 def covered(photos: list[TrainingPhoto], covers: Mapping[str, np.ndarray]) -> list[TrainingPhoto]:
     """The photos with what a look found as their masks, of any size; as they are without a look."""
+    if not covers:
+        return photos
     import cv2
 
     out = []

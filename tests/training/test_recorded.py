@@ -79,12 +79,12 @@ def trained(
     *,
     tape: Callable[[Trainer], Tape] | None = Tape,
     change: Callable[[Trainer], None] | None = None,
-    masked: bool = True,
+    has_masks: bool = True,
     insists: bool = False,
     **settings: Any,
 ) -> tuple[Trainer, Tape | None, list[str]]:
     """A short training with the emulated kernels and planned lists, and what it warned of."""
-    views, model = capture(folder / "views", size=20, masked=masked)
+    views, model = capture(folder / "views", size=20, masked=has_masks)
     params = SMALL.but(**{**SHORT, **settings})
     trainer, warnings = trainer_of(views, model, params, folder), list[str]()
     trainer.plan, trainer._later = Plan("cpu"), Readback("cpu", lag=2)
@@ -117,8 +117,8 @@ def soon(monkeypatch: pytest.MonkeyPatch) -> None:
 )
 def test_replayed_steps_are_steps(tmp_path: Path, settings: dict[str, Any], masked: bool) -> None:
     """Every photo, rate and backdrop reaches them; densification has them recorded anew."""
-    with_tape, tape, warnings = trained(tmp_path / "a", masked=masked, **settings)
-    without, *_ = trained(tmp_path / "b", tape=None, masked=masked, **settings)
+    with_tape, tape, warnings = trained(tmp_path / "a", has_masks=masked, **settings)
+    without, *_ = trained(tmp_path / "b", tape=None, has_masks=masked, **settings)
     assert_same(with_tape, without)
     assert not warnings and tape is not None
     assert tape.records == 2 or not masked
@@ -266,6 +266,6 @@ def test_a_step_leaves_nothing_of_its_gradients_graph(
         monkeypatch.setattr(step, "_loss", marking)
 
     short = {"iterations": 2, "surfels": 60}
-    trainer, *_ = trained(tmp_path, tape=None, change=mark, masked=False, **short)
+    trainer, *_ = trained(tmp_path, tape=None, change=mark, has_masks=False, **short)
     assert any(marked[0]) and len(marked) == 2  # those that the step uses were the same in it
     assert not any(nodes(trainer))
