@@ -24,6 +24,18 @@ from refdgs_pipe.params import Params
 from refdgs_pipe.trouble import raise_if_machine
 
 DEFAULT = "glossy"
+BASICS = (
+    "ingest.max_side",
+    "start.max_side",
+    "start.ground",
+    "train.iterations",
+    "train.max_surfels",
+    "train.reflection",
+    "clean.keep",
+    "clean.faces",
+    "bake.size",
+    "export.longest",
+)  # the settings that users change most
 
 
 @dataclass(frozen=True)
@@ -72,15 +84,24 @@ def resolve(
     """The settings of every stage: defaults, then the recipe, then the `stage.key=value` given.
 
     Args:
-        tell: hears of settings that are none any more; they are left out.
+        tell: hears of settings that have another name now, or are none any more and are left out.
 
     Raises:
         InputError: a stage or setting is unknown, or a value is not allowed.
     """
     tables = {stage: dict(table) for stage, table in recipe.tables.items()}
     origins = dict(recipe.origins)
+    for name in [f"{stage}.{key}" for stage, table in tables.items() for key in table]:
+        if (today := _today(name, models)) != name:
+            said = origins[today] = origins.pop(name, recipe.name)
+            tell(f"{said}: {name} is now {today}")
+            stage, key = name.split(".")
+            _merge(tables, {today.split(".")[0]: {today.split(".")[1]: tables[stage].pop(key)}})
     for text in assignments:
         stage, key, value = _parse_assignment(text)
+        if (today := _today(f"{stage}.{key}", models)) != f"{stage}.{key}":
+            tell(f"--set {text}: {stage}.{key} is now {today}")
+            stage, _, key = today.partition(".")
         _merge(tables, {stage: _nested(key, value)})
         origins[f"{stage}.{key}"] = f"--set {text}"
     for stage, table in tables.items():
@@ -110,36 +131,58 @@ def assignment(name: str, value: Any) -> str:
     return f"{name}={text}"
 
 
-def without_former(
-    assignments: Iterable[str], models: Mapping[str, type[Params]]
-) -> tuple[str, ...]:
-    """The `stage.key=value` whose settings are still settings.
+def up_to_date(assignments: Iterable[str], models: Mapping[str, type[Params]]) -> tuple[str, ...]:
+    """The `stage.key=value` with the names of today, without those that are no settings any more.
 
     Raises:
         InputError: one is no assignment.
     """
-    parsed = ((text, *_parse_assignment(text)[:2]) for text in assignments)
-    return tuple(
-        text
-        for text, stage, key in parsed
-        if stage not in models or key not in models[stage].former
-    )
+    found = []
+    for text in assignments:
+        stage, key, _ = _parse_assignment(text)
+        if stage in models and key in models[stage].former:
+            continue
+        _, equals, value = text.partition("=")
+        today = _today(f"{stage}.{key}", models)
+        found.append(text if today == f"{stage}.{key}" else f"{today}{equals}{value}")
+    return tuple(found)
+
+
+def basics(settings: Mapping[str, Params]) -> str:
+    """The settings that users change most, as comments: `stage.setting = value` and its meaning."""
+    found = []
+    for name in BASICS:
+        stage, _, key = name.partition(".")
+        params = settings[stage]
+        value = _toml(getattr(params, key)) or "unset"
+        found.append((f"{name} = {value}", type(params).model_fields[key].description))
+    width = max(len(text) for text, _ in found)
+    return "".join(f"# {text:{width}}  {about}\n" for text, about in found)
 
 
 def describe(settings: Mapping[str, Params], *, only: Recipe | None = None) -> str:
-    """Settings as TOML, each with its meaning; `only` those that a recipe mentions."""
+    """Settings as TOML by stage and group, each with its meaning; `only` those of a recipe."""
+    models = {stage: type(params) for stage, params in settings.items()}
+    written = {stage: model.model_fields.keys() for stage, model in models.items()}
+    names = {
+        _today(f"{stage}.{key}", models)
+        for stage, keys in (only.tables if only else written).items()
+        for key in keys
+    }
     lines: list[str] = []
     for stage, params in settings.items():
-        mentioned = only.tables.get(stage, {}) if only else type(params).model_fields
+        mentioned = {name.partition(".")[2] for name in names if name.startswith(f"{stage}.")}
         if not mentioned:
             continue
         lines += ["", f"[{stage}]"]
-        for key in mentioned:
-            info = type(params).model_fields[key]
-            value = getattr(params, key)
-            text = _toml(value.model_dump() if isinstance(value, Params) else value)
-            lines.append(f"# {meaning(info)}")
-            lines.append(f"# {key} =" if text is None else f"{key} = {text}")
+        for heading, keys in type(params).groups().items():
+            shown = [key for key in keys if key in mentioned]
+            lines += ["", f"# --- {heading} ---"] if heading and shown else []
+            for key in shown:
+                value = getattr(params, key)
+                text = _toml(value.model_dump() if isinstance(value, Params) else value)
+                lines.append(f"# {meaning(type(params).model_fields[key])}")
+                lines.append(f"# {key} =" if text is None else f"{key} = {text}")
     return "\n".join(lines).strip() + "\n"
 
 
@@ -244,6 +287,12 @@ def _parse_assignment(text: str) -> tuple[str, str, Any]:
         return stage, key, parse_toml(f"value = {raw}")["value"]
     except ValueError:
         return stage, key, raw.strip()  # a word needs no quotes on the command line
+
+
+def _today(name: str, models: Mapping[str, type[Params]]) -> str:
+    """What a "stage.setting" is called now."""
+    stage, _, key = name.partition(".")
+    return models[stage].renamed.get(key, name) if stage in models else name
 
 
 def _nested(key: str, value: Any) -> dict[str, Any]:

@@ -37,7 +37,7 @@ def clean(
         floater=params.floater * diameter,
         hole=params.hole * diameter,
         smoothing=params.smoothing,
-        faces=params.faces - (params.faces // 16 if params.outlines else 0),  # walls come yet
+        faces=params.faces_before_walls,
         base=level if params.base == "closed" else None,
         stop=job.stop,
     )

@@ -1,35 +1,10 @@
 """Fuse the field's depth into one mesh."""
 
-from pydantic import Field
-
 from refdgs_pipe.artifacts.mesh import RawMesh
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.surfel_field import SurfelField
-from refdgs_pipe.params import Params
 from refdgs_pipe.pipeline.stage import Job, stage
-
-
-class ExtractParams(Params):
-    """Fusion of depth maps on a voxel grid."""
-
-    voxel: float = Field(
-        0.004, ge=0.0008, le=0.05, description="edge of a voxel, in diameters of the object ball"
-    )
-    band: float = Field(
-        4.0, ge=2, le=16, description="half-width of the signed-distance band, in voxels"
-    )
-    min_alpha: float = Field(
-        0.5, ge=0, le=1, description="pixels that the surface covers less are ignored (share)"
-    )
-    min_views: int = Field(
-        2, ge=1, le=50, description="views that must see a place for it to become surface (count)"
-    )
-    close: bool = Field(
-        True, description="close gaps that no view sees, on the ground that the object stands on"
-    )
-    pixels: int = Field(
-        960, ge=64, le=8192, description="longest side of the depth maps, in pixels"
-    )
+from refdgs_pipe.surface.settings import ExtractParams
 
 
 @stage(version=2, programs=("open3d-cpu",))

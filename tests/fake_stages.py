@@ -147,10 +147,19 @@ class Marks(Text):
         return cls((folder / "scores.json").read_text())
 
 
+class Seeded(Text):
+    pass
+
+
+class StartParams(Params):
+    """How training starts."""
+
+    seed: int = Field(0, ge=0, description="of all random choices")
+
+
 class TrainParams(Params):
     """Training."""
 
-    seed: int = Field(0, ge=0, description="of all random choices")
     mood: str = Field("calm", max_length=20, description="how it feels, a word")
 
 
@@ -159,15 +168,23 @@ class ScoreParams(Params):
 
 
 @stage(version=1)
-def train(words: Words, params: TrainParams, job: Job) -> Shout:
+def start(words: Words, params: StartParams, job: Job) -> Seeded:
+    """Put the seed in front."""
+    return Seeded(f"{params.seed} {words.text}")
+
+
+@stage(version=1)
+def train(seeded: Seeded, params: TrainParams, job: Job) -> Shout:
     """Fail where the scene or the mood says so, else shout."""
+    seed, _, text = seeded.text.partition(" ")
+    words = Words(text)
     if "diverging" in words.text:
         raise TrainingError("training diverged | at step 3")
     if "native" in words.text:
         raise ZeroDivisionError("a mistake of ours")
     made = shout.run(words=words, params=ShoutParams(mood=params.mood), job=job)
     assert isinstance(made, Shout)
-    return Shout(f"{params.seed} {made.text}")
+    return Shout(f"{seed} {made.text}")
 
 
 @stage(version=1)
@@ -177,4 +194,4 @@ def evaluate(shout: Shout, params: ScoreParams, job: Job) -> Marks:
 
 
 STAGES: list[Stage] = [read, shout, export]
-BENCH_STAGES: list[Stage] = [read, train, evaluate]
+BENCH_STAGES: list[Stage] = [read, start, train, evaluate]

@@ -12,12 +12,15 @@ from scenes import orbit
 
 from refdgs_pipe.artifacts.appearance import Appearance
 from refdgs_pipe.artifacts.asset import Asset
+from refdgs_pipe.artifacts.checkpoint import Checkpoint
 from refdgs_pipe.artifacts.masks import Masks
 from refdgs_pipe.artifacts.mesh import Mesh, RawMesh
 from refdgs_pipe.artifacts.object_figures import ObjectFigures
 from refdgs_pipe.artifacts.placement import Attempt, Evidence, Placement, Poses
 from refdgs_pipe.artifacts.scores import Scores, ViewScore
+from refdgs_pipe.artifacts.shape import Shape
 from refdgs_pipe.artifacts.sparse_model import Ball, Lost, SparseModel
+from refdgs_pipe.artifacts.start import Start
 from refdgs_pipe.artifacts.surfel_field import ShaderModel, SurfelField, SurfelSet
 from refdgs_pipe.artifacts.views import Exif, Skipped, View, Views
 from refdgs_pipe.camera import Lens
@@ -95,6 +98,38 @@ def field() -> SurfelField:
         tuple(np.zeros(shape[0], np.float32) for shape in layers),
     )
     return SurfelField(geometry, none, none, shader, near=0.05)
+
+
+def start() -> Start:
+    """Four surfels on a square."""
+    raw = {
+        "means": np.array([[0, 0, 1], [1, 0, 1], [0, 1, 1], [1, 1, 1]], np.float32),
+        "quats": np.tile(np.float32([1, 0, 0, 0]), (4, 1)),
+        "log_scales": np.full((4, 2), -1, np.float32),
+        "raw_opacities": np.zeros(4, np.float32),
+    }
+    return Start(
+        geometry=raw,
+        local=raw,
+        background=None,
+        faint=False,
+        covers={"a": np.full((3, 2), 255, np.uint8)},
+        ball=Ball(np.array([0.0, 0.0, 1.0]), 1.2),
+        random=np.zeros(8, np.uint8),
+        seed=3,
+        max_side=48,
+        ground="background",
+        surfels=4,
+        background_surfels=9,
+        bfloat16=True,
+    )
+
+
+def checkpoint() -> Checkpoint:
+    """A training that is not through."""
+    tensors = {"geometry/adam.means.step": np.array(7, np.float32), "rng": np.zeros(8, np.uint8)}
+    figures = {"iteration": 7, "loss": 0.1, "psnr": 20.0, "skipped": 0, "early": None}
+    return Checkpoint(field(), tensors, figures, {"iterations": 9}, 48, 0.9)
 
 
 def appearance(points: np.ndarray, *, received: float = 1.0) -> Appearance:
@@ -181,7 +216,10 @@ def steps(
         "sfm": lambda folder: placement or Placement(None, known=True),
         "gate": lambda folder: model(),
         "masks": lambda folder: Masks(folder, (), "none", "no plane"),
-        "train": lambda folder: field(),
+        "start": lambda folder: start(),
+        "train": lambda folder: checkpoint(),
+        "shape": lambda folder: Shape(None),
+        "refine": lambda folder: field(),
         "extract": lambda folder: RawMesh(mesh.mesh.vertices, mesh.mesh.faces),
         "clean": lambda folder: Mesh(mesh.mesh.vertices, mesh.mesh.faces),
         "appearance": lambda folder: appearance(mesh.mesh.vertices),

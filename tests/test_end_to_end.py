@@ -21,10 +21,10 @@ from scenes import glossy_pair, orbit
 
 SMALL = {
     "train.iterations": 40,
-    "train.volume_steps": 20,
-    "train.surfels": 1500,
+    "start.volume_steps": 20,
+    "start.surfels": 1500,
     "train.max_surfels": 2000,
-    "train.local_surfels": 500,
+    "start.local_surfels": 500,
     "train.max_local_surfels": 600,
     "train.environment_height": 16,
     "extract.voxel": 0.02,
@@ -110,6 +110,7 @@ def test_a_capture_becomes_an_asset_and_only_what_changed_is_made_again(tmp_path
     followers = ["extract", "clean", "appearance", "unwrap", "bake", "export"]
     again = run("run", photos, extract__voxel=0.025)["made"]
     assert [name for name in again if name != "evaluate"] == followers
+    assert run("run", photos, "--until", "refine", refine__surfels=1.2)["made"] == ["refine"]
     assert run("run", photos)["made"] == []
 
 

@@ -96,7 +96,53 @@ def test_train_cuda_graph_is_an_option_now_and_keys_still_hold_it() -> None:
     ]
     hashed = settings["train"].hashed()
     assert [params["cuda_graph"] for params in hashed] == ["auto", "on", "off"]
-    assert recipe.without_former([text, "train.seed=1"], models) == ("train.seed=1",)
+    assert recipe.up_to_date([text, "start.seed=1"], models) == ("start.seed=1",)
+
+
+def test_an_old_name_of_a_setting_means_the_new_one_and_the_user_is_told(tmp_path: Path) -> None:
+    models, said = {stage.name: stage.params for stage in load_stages()}, list[str]()
+    name = write(tmp_path, "mine", "extends = 'preview'\n[train]\nlook_steps = 7\nseed = 2\n")
+    given = ["train.surfels=300", "train.start=hull", "train.seed=4"]
+    settings: Any = recipe.resolve(recipe.load(name), given, models, tell=said.append)
+    assert settings["start"].look_steps == 7  # `preview` has start.look_steps = 600
+    assert (settings["start"].surfels, settings["start"].masked) == (300, "hull")
+    assert settings["start"].seed == 4
+    assert f"{name}: train.look_steps is now start.look_steps" in said
+    assert "--set train.start=hull: train.start is now start.masked" in said
+    assert recipe.up_to_date(given, models) == (
+        "start.surfels=300",
+        "start.masked=hull",
+        "start.seed=4",
+    )
+    shown = recipe.describe(settings, only=recipe.load(name))
+    assert "\nlook_steps = 7\n" in shown.partition("[start]")[2].partition("[train]")[0]
+
+
+def test_a_wrong_value_under_an_old_name_is_named_as_it_was_given() -> None:
+    models = {stage.name: stage.params for stage in load_stages()}
+    with pytest.raises(InputError, match=r"--set train.surfels=1: start.surfels = 1: expected"):
+        recipe.resolve(recipe.load("glossy"), ["train.surfels=1"], models)
+
+
+def test_every_old_name_leads_to_a_setting() -> None:
+    models = {stage.name: stage.params for stage in load_stages()}
+    for model in models.values():
+        for today in model.renamed.values():
+            stage, _, key = today.partition(".")
+            assert key in models[stage].model_fields
+        assert not model.renamed.keys() & model.model_fields.keys()
+
+
+def test_ten_settings_are_shown_first_and_every_setting_is_in_one_group() -> None:
+    models = {stage.name: stage.params for stage in load_stages()}
+    settings = recipe.resolve(recipe.load("glossy"), ["train.iterations=7"], models)
+    lines = recipe.basics(settings).splitlines()
+    assert len(lines) == 10
+    assert any(line.startswith("# train.iterations = 7 ") for line in lines)
+    for model in models.values():
+        names = [name for group in model.groups().values() for name in group]
+        assert sorted(names) == sorted(model.model_fields)
+    assert {"Schedule", "Surfels", "Light", "Losses", "Rates"} <= models["train"].groups().keys()
 
 
 @pytest.mark.parametrize(

@@ -137,7 +137,7 @@ class SurfelField:
             return cls(geometry, local, background, shader, float(record["near"]), poses, ball)
         except (OSError, KeyError, ValueError, SafetensorError) as error:
             raise CorruptError(
-                f"{folder}: not a readable surfel field ({error}): run the train stage again"
+                f"{folder}: not a readable surfel field ({error}): run the stage refine again"
             ) from error
 
     def _sets(self) -> dict[str, SurfelSet]:

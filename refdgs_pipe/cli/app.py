@@ -355,6 +355,9 @@ def recipe_show_command(
         _print_json({stage: params.model_dump(mode="json") for stage, params in settings.items()})
         return
     print(f"# {found.about}")
+    if not resolved:
+        changes = "What this recipe changes:" if found.tables else "The rest has its defaults."
+        print(f"#\n# Most used:\n{recipe.basics(settings)}#\n# {changes}")
     print(recipe.describe(settings, only=None if resolved else found), end="")
 
 

@@ -23,7 +23,8 @@ from refdgs_pipe.pipeline.events import Event, Finished, Started
 from refdgs_pipe.pipeline.store import Store
 
 SCORED = "evaluate"  # the last stage that a cell needs
-SEED = "train.seed"
+SEED = "start.seed"
+SEEDS = {SEED, "train.seed"}  # today, and in older versions
 _COLORS = re.compile("\x1b\\[[0-9;]*m")  # libraries write errors for terminals
 
 T = TypeVar("T")
@@ -74,7 +75,7 @@ def plan_grid(
         InputError: a recipe or setting is wrong, or two scenes or recipes have one name.
         CaptureError: a scene is not there.
     """
-    if any(text.partition("=")[0].strip() == SEED for text in assignments):
+    if any(text.partition("=")[0].strip() in SEEDS for text in assignments):
         raise InputError(f"--set {SEED}: the seeds of a bench are given by --seeds")
     paths = _named("scenes", [(_scene_name(path), spaces.absolute(path)) for path in scenes])
     names = _named("recipes", [(Path(r).stem, spaces.absolute_recipe(r)) for r in recipes])

@@ -13,7 +13,7 @@ from refdgs_pipe.pipeline.atomic import disk_errors, write_json, write_text
 from refdgs_pipe.pipeline.store import MANIFEST
 
 JSON, TABLE = "bench.json", "bench.md"
-TRAINED = "train"
+TRAINED = ("start", "train", "shape", "refine")  # stages
 TIMES = ("train_s", "total_s")
 
 
@@ -53,11 +53,17 @@ class Row:
         return sum(self.seconds.values())
 
     @property
+    def train_s(self) -> float | None:
+        """Seconds of the stages of training; None if none is known."""
+        known = [self.seconds[name] for name in TRAINED if name in self.seconds]
+        return sum(known) if known else None
+
+    @property
     def values(self) -> dict[str, float]:
         """Figures and times, if the cell is done."""
         if self.status != "done":
             return {}
-        train = {"train_s": self.seconds[TRAINED]} if TRAINED in self.seconds else {}
+        train = {} if self.train_s is None else {"train_s": self.train_s}
         return {**self.figures, **train, "total_s": self.total_s}
 
 
@@ -98,9 +104,7 @@ def write_tables(out: Path, rows: Sequence[Row]) -> None:
 def record(rows: Iterable[Row]) -> dict[str, Any]:
     """All cells, their means over seeds, and these' means over scenes, for programs."""
     rows = _sorted(rows)
-    cells = [
-        asdict(row) | {"train_s": row.seconds.get(TRAINED), "total_s": row.total_s} for row in rows
-    ]
+    cells = [asdict(row) | {"train_s": row.train_s, "total_s": row.total_s} for row in rows]
     return {"cells": cells, "scenes": over_seeds(rows), "recipes": over_scenes(rows)}
 
 

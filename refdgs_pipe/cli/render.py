@@ -37,7 +37,7 @@ def render_views(
         raise InputError(f"--split {split}: expected train, test or all")
     if not 0.0 < scale <= 4.0:
         raise InputError(f"--scale {scale:g}: expected more than 0 and at most 4")
-    field = _load(space, "train")
+    field = _load(space, "refine")
     model = _load(space, "gate").placed(field.poses, field.ball)
     if orbit:
         cameras = orbit_cameras(model, orbit)

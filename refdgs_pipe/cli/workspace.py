@@ -121,7 +121,7 @@ def open_workspace(
     """Open a workspace with the given source and settings, or with those it remembers.
 
     Args:
-        tell: hears of remembered settings that are none any more.
+        tell: hears of settings that have another name now, or are none any more.
 
     Raises:
         InputError: it is not a workspace, or the settings are wrong.
@@ -134,7 +134,7 @@ def open_workspace(
     settings = recipe.resolve(found, memory.assignments, models, tell=tell)
     settings = _with_recipe_name(settings, memory.recipe)
     settings = mask_model.with_digest(settings, pipeline.store)
-    memory = replace(memory, assignments=recipe.without_former(memory.assignments, models))
+    memory = replace(memory, assignments=recipe.up_to_date(memory.assignments, models))
     make: Any = pipeline.source
     return Workspace(root, memory, pipeline, make(paths=memory.photos), settings)
 

@@ -6,7 +6,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 from refdgs_pipe.artifacts.asset import Asset
 from refdgs_pipe.errors import InputError, RefdgsError
@@ -15,6 +15,9 @@ from refdgs_pipe.pipeline.stage import Artifact
 from refdgs_pipe.pipeline.store import Manifest, Store, load
 
 T = TypeVar("T", bound=Artifact)
+Point: TypeAlias = tuple[int, float, float]  # step, loss, PSNR in dB
+TRAINED = ("train", "refine")  # the stages that train, one after the other
+FIRST_STEPS = 50  # a stage that told a step as early as this was not resumed
 
 
 @dataclass(frozen=True)
@@ -66,7 +69,7 @@ class Notes:
 
     made: frozenset[str] = frozenset()
     failure: Failure | None = None
-    curve: tuple[tuple[int, float, float], ...] = ()
+    curve: tuple[Point, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -196,8 +199,11 @@ def read_notes(folder: Path, results: Sequence[Result]) -> Notes:
     for run in runs:
         finished = frozenset(str(e.get("stage")) for e in run if e["event"] == "finished")
         made = finished or made
-    trained = next((r.manifest for r in results if r.name == "train" and r.manifest), None)
-    curve = _curve(runs, trained.seconds) if trained else ()
+    done = {result.name: result.manifest for result in results if result.manifest}
+    curve: tuple[Point, ...] = ()
+    for stage in TRAINED:
+        if stage in done:
+            curve += _curve(runs, stage, done[stage].seconds, after=curve[-1][0] if curve else 0)
     return Notes(made, _failure(runs[-1]) if runs else None, curve)
 
 
@@ -213,13 +219,17 @@ def _failure(run: list[dict[str, Any]]) -> Failure | None:
 
 
 def _curve(
-    runs: list[list[dict[str, Any]]], seconds: float
-) -> tuple[tuple[int, float, float], ...]:
-    """Training's figures in the run that finished it, and in those it was resumed from."""
-    points: dict[int, tuple[int, float, float]] = {}
+    runs: list[list[dict[str, Any]]], stage: str, seconds: float, *, after: int
+) -> tuple[Point, ...]:
+    """A stage's figures in the run that finished it, and in those it was resumed from.
+
+    Args:
+        after: the last step of the stage before.
+    """
+    points: dict[int, Point] = {}
     is_found = False
     for run in reversed(runs):
-        ends = [e for e in run if e["event"] == "finished" and e.get("stage") == "train"]
+        ends = [e for e in run if e["event"] == "finished" and e.get("stage") == stage]
         if not is_found:
             is_found = any(e.get("seconds") == seconds for e in ends)
             if not is_found:
@@ -227,15 +237,15 @@ def _curve(
         elif ends:  # an older training that came to its end
             break
         before = min(points, default=1 << 60)
-        points |= {point[0]: point for point in _points(run) if point[0] < before}
-        if not points or min(points) <= 50:
+        points |= {point[0]: point for point in _points(run, stage) if after < point[0] < before}
+        if not points or min(points) <= after + FIRST_STEPS:
             break
     return tuple(points[step] for step in sorted(points))
 
 
-def _points(run: list[dict[str, Any]]) -> Iterator[tuple[int, float, float]]:
+def _points(run: list[dict[str, Any]], stage: str) -> Iterator[Point]:
     for event in run:
-        if event["event"] == "sampled" and event.get("stage") == "train":
+        if event["event"] == "sampled" and event.get("stage") == stage:
             with suppress(ValueError, TypeError, KeyError):  # a log may be damaged
                 figures = event["figures"]
                 yield int(event["step"]), float(figures["loss"]), float(figures["psnr"])

@@ -12,18 +12,15 @@ from refdgs_pipe.errors import MeshError
 from refdgs_pipe.surface.cleanup import clean
 from refdgs_pipe.surface.gaps import without_base
 from refdgs_pipe.surface.registration import fitted
+from refdgs_pipe.surface.settings import ShapeParams
 from refdgs_pipe.surface.tsdf import Volume
-
-VOXEL = 0.004  # of the ball's diameter, as the stage extract has it
-LONGEST = 960  # pixels of the maps that are fused
-# As the stage clean has them, lengths in the ball's diameters
-FLOATER, HOLE, SMOOTHING, ROUNDS, FACES = 0.08, 0.15, 5, 3, 50_000
 
 
 def own_surface(
     model: SparseModel,
     draw: Callable[[Camera], SurfaceMap],
     ground: F64 | None,
+    p: ShapeParams,
     track: Callable[[list[Camera], str], Iterable[Camera]],
     stop: threading.Event | None = None,
 ) -> Mesh:
@@ -38,22 +35,31 @@ def own_surface(
         MeshError: the views show no surface, or the program that cleans it fails.
     """
     cameras = model.training_cameras
-    volume = Volume(model.ball, voxel=VOXEL, ground=ground)
+    volume = Volume(model.ball, voxel=p.voxel, band=p.band, min_alpha=p.min_alpha, ground=ground)
     for camera in track(cameras, "fusing depth"):
-        volume.integrate(draw(camera.fitted(LONGEST)))
+        volume.integrate(draw(camera.fitted(p.pixels)))
     diameter = 2 * model.ball.radius
-    raw: TriangleMesh = volume.extract(min_views=min(2, volume.views))
+    raw: TriangleMesh = volume.extract(min_views=min(p.min_views, volume.views))
     if ground is not None:
         raw = without_base(raw, ground, diameter)
     try:
         done = clean(
             raw,
-            floater=FLOATER * diameter,
-            hole=HOLE * diameter,
-            smoothing=SMOOTHING,
-            faces=FACES - FACES // 16,
+            floater=p.floater * diameter,
+            hole=p.hole * diameter,
+            smoothing=p.smoothing,
+            faces=p.faces_before_walls,
             stop=stop,
         )
     except (ChildCrashed, ChildTimeout, RuntimeError) as error:
         raise MeshError(f"the mesh could not be cleaned ({error})") from error
-    return fitted(done.mesh, model, draw, rounds=ROUNDS, faces=FACES, ground=ground, track=track)[0]
+    return fitted(
+        done.mesh,
+        model,
+        draw,
+        rounds=p.outlines,
+        faces=p.faces,
+        flatten=p.flatten,
+        ground=ground,
+        track=track,
+    )[0]

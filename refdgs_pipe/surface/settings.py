@@ -1,4 +1,4 @@
-"""Settings of the stage `clean`."""
+"""Settings of the stages that make a mesh of a field."""
 
 from typing import Literal
 
@@ -7,13 +7,29 @@ from pydantic import Field
 from refdgs_pipe.params import Params
 
 
-class CleanParams(Params):
-    """Repair and simplification of the mesh."""
+class FusionParams(Params):
+    """Fusion of depth maps"""
 
-    keep: Literal["object", "all"] = Field("all", description="object: no table or plate below it")
-    base: Literal["open", "closed"] = Field(
-        "open", description="closed: close the mesh on the ground that the object stands on"
+    voxel: float = Field(
+        0.004, ge=0.0008, le=0.05, description="edge of a voxel, in diameters of the object ball"
     )
+    band: float = Field(
+        4.0, ge=2, le=16, description="half-width of the signed-distance band, in voxels"
+    )
+    min_alpha: float = Field(
+        0.5, ge=0, le=1, description="pixels that the surface covers less are ignored (share)"
+    )
+    min_views: int = Field(
+        2, ge=1, le=50, description="views that must see a place for it to become surface (count)"
+    )
+    pixels: int = Field(
+        960, ge=64, le=8192, description="longest side of the depth maps, in pixels"
+    )
+
+
+class RepairParams(Params):
+    """Repair and fit"""
+
     floater: float = Field(
         0.08, ge=0, le=1, description="smaller loose pieces are removed, in ball diameters"
     )
@@ -21,6 +37,32 @@ class CleanParams(Params):
     smoothing: int = Field(5, ge=0, le=200, description="smoothing steps (Taubin), a count")
     outlines: int = Field(3, ge=0, le=20, description="fits of the mesh to its views, a count")
     flatten: bool = Field(
-        True, description="make flat what outlines show to be flat; with clean.outlines above 0"
+        True, description="make flat what outlines show to be flat; with fits to the views"
     )
     faces: int = Field(50_000, ge=100, le=5_000_000, description="the most triangles, a count")
+
+    @property
+    def faces_before_walls(self) -> int:
+        """Triangles at most before the fit to the views adds walls."""
+        return self.faces - (self.faces // 16 if self.outlines else 0)
+
+
+class ShapeParams(FusionParams, RepairParams):
+    """The mesh that surfels start anew on, halfway through training."""
+
+
+class ExtractParams(FusionParams):
+    """Fusion of depth maps on a voxel grid."""
+
+    close: bool = Field(
+        True, description="close gaps that no view sees, on the ground that the object stands on"
+    )
+
+
+class CleanParams(RepairParams):
+    """Repair and simplification of the mesh."""
+
+    keep: Literal["object", "all"] = Field("all", description="object: no table or plate below it")
+    base: Literal["open", "closed"] = Field(
+        "open", description="closed: close the mesh on the ground that the object stands on"
+    )

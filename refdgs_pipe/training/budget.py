@@ -2,14 +2,20 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import torch
 
+from refdgs_pipe.artifacts.checkpoint import Checkpoint
 from refdgs_pipe.artifacts.sparse_model import SparseModel
+from refdgs_pipe.artifacts.start import Start
 from refdgs_pipe.artifacts.surfel_field import SurfelField
 from refdgs_pipe.errors import DeviceError
-from refdgs_pipe.training.settings import TrainParams
-from refdgs_pipe.training.trainer import Progress, Trainer
+from refdgs_pipe.training.figures import Progress
+from refdgs_pipe.training.settings import StartParams, TrainParams
+from refdgs_pipe.training.trainer import Trainer
+
+T = TypeVar("T")
 
 # Bytes, counted from the tensors that live at once in a step: torch and its kernels; maps, shading
 # and their gradients for a pixel; parameters, Adam, records and 8 entries of 150 for a surfel; a
@@ -20,7 +26,6 @@ SPARE = 0.9  # share of the free memory that is planned with; the rest is lost b
 LEAST_SIDE, LEAST_SURFELS = 256, 5000
 SMALLER_SIDE, FEWER_SURFELS = 0.85, 0.75
 TRIES = 6
-CAPS = ("surfels", "max_surfels", "local_surfels", "max_local_surfels", "background_surfels")
 
 
 @dataclass(frozen=True)
@@ -29,10 +34,18 @@ class Load:
 
     Args:
         cuda_graph: whether recorded steps are repeated; None: where they prove equal.
+        growth: geometry surfels for each that there may be before they start anew, a factor.
     """
 
     params: TrainParams
+    start: Start
     cuda_graph: bool | None = None
+    growth: float = 1.0
+
+    @property
+    def most(self) -> int:
+        """Geometry surfels at most, those that start anew among them."""
+        return round(max(self.start.surfels, self.params.max_surfels) * max(1.0, self.growth))
 
 
 @dataclass(frozen=True)
@@ -51,14 +64,14 @@ class Need:
 
 def need_of(load: Load, model: SparseModel) -> Need:
     """What training takes at its largest."""
-    params = load.params
+    params, start = load.params, load.start
     cameras = [camera for camera in model.cameras if camera.split == "train"]
     sizes = []
     for camera in cameras:
-        scale = min(1.0, params.max_side / max(camera.width, camera.height))
+        scale = min(1.0, start.max_side / max(camera.width, camera.height))
         sizes.append(camera.width * camera.height * scale * scale)
     kept = sum(sizes) * 5 * (1 + params.coarse**2)  # RGB, mask and validity, at two scales
-    surfels = params.most_surfels + params.background_surfels
+    surfels = load.most + start.background_surfels
     if params.reflection and params.local == "dual":
         surfels += params.max_local_surfels
     numbers = params.environment_height**2 * 2 * 4 if params.reflection else 0
@@ -106,6 +119,27 @@ def planned(load: Load, model: SparseModel, *, vram: int, warn: Callable[[str], 
     return fitting
 
 
+def train_part(
+    make: Callable[[Load], Trainer],
+    load: Load,
+    model: SparseModel,
+    device: str,
+    vram: int,
+    progress: Progress,
+    warn: Callable[[str], None],
+) -> Checkpoint:
+    """Run a part of a training on "cpu" or on "cuda", there within its memory and `vram` bytes.
+
+    Raises:
+        DeviceError: the GPU's memory is too small.
+        TrainingError: the loss stopped being finite.
+    """
+    if device == "cuda":
+        load = planned(load, model, vram=vram, warn=warn)
+    trainer, field = train_within(make, load, progress, warn)
+    return trainer.checkpoint(field)
+
+
 def train_within(
     make: Callable[[Load], Trainer],
     load: Load,
@@ -130,20 +164,41 @@ def train_within(
             break
         warn(f"the GPU's memory ran out: {changes(load, smaller)}")
         load = smaller
-    params = load.params
     raise DeviceError(
-        f"the GPU's memory runs out even at {params.max_side} pixels and {params.max_surfels} "
-        "surfels: free the GPU, or use --device cpu"
+        f"the GPU's memory runs out even at {load.start.max_side} pixels and "
+        f"{load.params.max_surfels} surfels: free the GPU, or use --device cpu"
     )
+
+
+def start_within(
+    make: Callable[[StartParams], T], params: StartParams, warn: Callable[[str], None]
+) -> T:
+    """Look for a start; where the GPU's memory runs out, look at smaller pictures.
+
+    Raises:
+        DeviceError: it runs out with the smallest ones too.
+    """
+    for _ in range(TRIES):
+        try:
+            return make(params)
+        except torch.cuda.OutOfMemoryError:
+            scale = params.look_scale * SMALLER_SIDE
+        torch.cuda.empty_cache()
+        fewer = {"look_scale": scale, "look_surfels": _fewer(params.look_surfels)}
+        params = params.model_copy(update=fewer)
+        warn(f"the GPU's memory ran out: the first look is at {scale:.2f} of the photos' size")
+    raise DeviceError("the GPU's memory runs out: free the GPU, or use --device cpu")
 
 
 def changes(before: Load, after: Load) -> str:
     """What differs, in words."""
-    old, new, parts = before.params, after.params, []
-    if new.max_side != old.max_side:
-        parts.append(f"training at {new.max_side} instead of {old.max_side} pixels")
-    if new.max_surfels != old.max_surfels:
-        parts.append(f"at most {new.max_surfels} instead of {old.max_surfels} surfels")
+    parts = []
+    if after.start.max_side != before.start.max_side:
+        sides = f"{after.start.max_side} instead of {before.start.max_side} pixels"
+        parts.append(f"training at {sides}")
+    if after.params.max_surfels != before.params.max_surfels:
+        counts = f"{after.params.max_surfels} instead of {before.params.max_surfels} surfels"
+        parts.append(f"at most {counts}")
     if after.cuda_graph != before.cuda_graph:
         parts.append("steps are not recorded")
     return ", ".join(parts)
@@ -155,13 +210,22 @@ def _unrecorded(load: Load) -> Load:
 
 def _smaller(load: Load, *, pixels: bool) -> Load:
     """One step down, of the image side or of all counts of surfels; of the other at the least."""
-    params = load.params
-    side = max(LEAST_SIDE, int(params.max_side * SMALLER_SIDE))
-    counts = {name: _fewer(getattr(params, name)) for name in CAPS}
-    shrinks, thins = side < params.max_side, counts["max_surfels"] < params.max_surfels
+    params, start = load.params, load.start
+    side = max(LEAST_SIDE, int(start.max_side * SMALLER_SIDE))
+    most = _fewer(params.max_surfels)
+    shrinks, thins = side < start.max_side, most < params.max_surfels
     if shrinks and (pixels or not thins):
-        return replace(load, params=params.model_copy(update={"max_side": side}))
-    return replace(load, params=params.model_copy(update=counts)) if thins else load
+        return replace(load, start=replace(start, max_side=side))
+    if not thins:
+        return load
+    local = _fewer(params.max_local_surfels)
+    caps = {"max_surfels": most, "max_local_surfels": local}
+    start = start.limited(
+        surfels=_fewer(start.surfels),
+        local=min(local, _fewer(len(start.local["means"]))),
+        background=_fewer(start.background_surfels),
+    )
+    return replace(load, params=params.model_copy(update=caps), start=start)
 
 
 def _fewer(count: int) -> int:

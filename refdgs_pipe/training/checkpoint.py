@@ -1,9 +1,14 @@
-"""Checkpoints: tensors only, whole or absent."""
+"""Checkpoints in a folder of their own: tensors only, whole or absent."""
 
 import os
 from pathlib import Path
 
+from pydantic import ValidationError
 from torch import Tensor
+
+from refdgs_pipe.artifacts.checkpoint import Checkpoint
+from refdgs_pipe.errors import CorruptError
+from refdgs_pipe.training.settings import TrainParams
 
 NAME = "checkpoint.safetensors"
 
@@ -34,3 +39,16 @@ def read_checkpoint(folder: Path) -> tuple[dict[str, Tensor], str] | None:
             return tensors, file.metadata()["figures"]
     except (SafetensorError, OSError, KeyError, TypeError):
         return None
+
+
+def settings_of(checkpoint: Checkpoint) -> TrainParams:
+    """The settings that a field was trained with so far.
+
+    Raises:
+        CorruptError: they are not those of today.
+    """
+    try:
+        return TrainParams.model_validate(checkpoint.settings)
+    except ValidationError as error:
+        problem = error.errors()[0]["msg"]
+        raise CorruptError(f"settings of the checkpoint: {problem}: run `train` again") from None

@@ -1,7 +1,6 @@
 """The field being trained: its sets, its shader, how they step, grow and are saved."""
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -9,10 +8,10 @@ import torch
 from torch import Tensor
 
 from refdgs_pipe.artifacts.sparse_model import SparseModel
+from refdgs_pipe.artifacts.start import RawSet, Start
 from refdgs_pipe.artifacts.surfel_field import ShaderModel, SurfelField, SurfelSet
 from refdgs_pipe.ops import Pinhole
 from refdgs_pipe.ops.cuda import sent
-from refdgs_pipe.training import initial
 from refdgs_pipe.training.exposure import Exposures
 from refdgs_pipe.training.ground import Surroundings
 from refdgs_pipe.training.photos import TrainingPhoto
@@ -20,7 +19,7 @@ from refdgs_pipe.training.poses import Poses
 from refdgs_pipe.training.reflection import Shader
 from refdgs_pipe.training.settings import TrainParams
 from refdgs_pipe.training.shading import Picture, Scene, sh_color
-from refdgs_pipe.training.starting import BALL_MARGIN, Given, starting_background, starting_geometry
+from refdgs_pipe.training.starting import BALL_MARGIN
 from refdgs_pipe.training.surfels import (
     DensityRules,
     TrainableSet,
@@ -31,7 +30,6 @@ from refdgs_pipe.training.surfels import (
     step_all,
 )
 
-LOCAL_OPACITY = 0.1
 FAINT = 0.05  # what starts as faint as 0.1 is pruned below this at most
 POSES_FROM = 0.1  # fraction of the run after which poses are refined
 LARGEST = 0.1  # surfels larger than this share of the extent go
@@ -41,33 +39,28 @@ class TrainableField:
     """Geometry, local reflection and background surfels, and the shader.
 
     Args:
-        photos: on the CPU; they are looked at only here. Their masks say where surfels start.
+        start: the surfels to begin with.
+        photos: on the CPU; they are looked at only here. Masks, also those that a first look found,
+            say how large the object is.
         masked: the photos' background is removed, and needs no surfels.
         device: where the surfels and the shader are.
-        behind: the background's surfels to start from, if they are known.
-        agreed: what photos agree on, to start from without masks.
         refined: the photos' poses are corrected.
-        restored: the surfels are about to be replaced by those of a checkpoint.
-        progress: told the steps done and their number while the start is looked for; may raise.
     """
 
     def __init__(
         self,
         params: TrainParams,
         model: SparseModel,
+        start: Start,
         photos: list[TrainingPhoto],
         *,
         masked: bool,
         near: float,
         device: str = "cpu",
-        behind: dict[str, Tensor] | None = None,
-        agreed: initial.Cloud | None = None,
         refined: bool = False,
-        restored: bool = False,
-        progress: Callable[[int, int], None] | None = None,
     ) -> None:
         self.params, self.near, self.device = params, near, device
-        self.around = Surroundings(model, ground=params.ground == "background" and not masked)
+        self.around = Surroundings(model, ground=start.ground == "background" and not masked)
         # Without masks nothing but reflections holds a mirror's surface in place from the start.
         self.reflect_from = params.reflect_from if masked else 0.0
         cameras = [photo.camera for photo in photos]
@@ -76,48 +69,55 @@ class TrainableField:
         if len(cameras) == 1 or self.extent <= 0:
             self.extent = float(np.linalg.norm(centers[0] - model.ball.center))
         most = params.surfels_per_pixel * _covered_pixels(model, photos)
-        self.most = max(params.surfels, min(params.max_surfels, round(most)))
-        self.most_local = max(params.local_surfels, min(params.max_local_surfels, round(most / 2)))
-        rng = np.random.default_rng(params.seed)
+        self.most = max(start.surfels, min(params.max_surfels, round(most)))
+        fewest = len(start.local["means"])
+        self.most_local = max(fewest, min(params.max_local_surfels, round(most / 2)))
+        self.most_behind = start.background_surfels
         self.rates = self._rates()
-        self.faintest = params.prune_opacity
-        given = Given(params, model, photos, self.around, agreed, restored, progress)
-        raw, faint = starting_geometry(given, rng)
-        if faint:
-            self.faintest = min(self.faintest, FAINT)
-        self.geometry = self._set(raw)
+        self.faintest = min(params.prune_opacity, FAINT) if start.faint else params.prune_opacity
+        self.geometry = self._set(self._colored(start.geometry))
         self.local: TrainableSet | None = None
         self.shader: Shader | None = None
         self.shader_optimizer: list[torch.optim.Adam] = []
+        self.random = torch.from_numpy(start.random)  # torch's generator when the field is made
         if params.reflection:
-            self._with_reflections(model, rng)
+            self._with_reflections(start)
         self.background: TrainableSet | None = None
         self.exposures: Exposures | None = None
         if not masked and params.exposure == "fitted":
             self.exposures = Exposures(len(photos), params.rate_exposure, device)
         self.poses = Poses(cameras, model.ball, params.rate_poses) if refined else None
-        if not masked:
-            self.background = self._set(behind or starting_background(given, rng))
+        if start.background is not None:
+            self.background = self._set(_tensors(start.background))
 
-    def _with_reflections(self, model: SparseModel, rng: np.random.Generator) -> None:
+    def _colored(self, start: RawSet) -> dict[str, Tensor]:
+        """The geometry with all that it carries."""
+        p, raw, n = self.params, _tensors(start), len(start["means"])
+        if "raw_diffuse" not in raw:
+            raw["raw_diffuse"] = torch.full((n, 3), -p.diffuse_bias if p.reflection else 0.0)
+        raw["raw_roughness"] = torch.zeros(n)
+        if p.reflection and p.local == "shared":
+            raw["features"] = torch.zeros(n, 4)
+        return raw
+
+    def _with_reflections(self, start: Start) -> None:
         """The shader, and local surfels throughout the ball."""
         p = self.params
-        self.shader = Shader(
-            p.environment_height,
-            p.local,
-            p.mixing,
-            p.physical,
-            half=p.bfloat16,
-        ).to(self.device)
+        with torch.random.fork_rng(devices=[]):
+            torch.set_rng_state(self.random)
+            shader = Shader(
+                p.environment_height, p.local, p.mixing, p.physical, half=start.bfloat16
+            )
+            self.random = torch.get_rng_state()
+        self.shader = shader.to(self.device)
         groups = [
             {"params": [self.shader.environment], "lr": p.rate_environment},
             {"params": [*self.shader.weights, *self.shader.biases], "lr": p.rate_shader},
         ]
         self.shader_optimizer = [torch.optim.Adam(groups, eps=1e-15, fused=True)]
         if p.local == "dual":
-            cloud = initial.ball_cloud(model.ball, p.local_surfels, rng)
-            raw = initial.raw_discs(cloud, LOCAL_OPACITY)
-            raw["features"] = torch.zeros(p.local_surfels, 4)
+            raw = _tensors(start.local)
+            raw["features"] = torch.zeros(len(raw["means"]), 4)
             self.local = self._set(raw)
 
     def _set(self, raw: dict[str, Tensor]) -> TrainableSet:
@@ -275,7 +275,7 @@ class TrainableField:
         if self.background is not None:
             means = self.background.raw["means"].detach()
             opacity = min(p.prune_opacity, FAINT)
-            rules = DensityRules(p.densify_gradient, size, math.inf, opacity, p.background_surfels)
+            rules = DensityRules(p.densify_gradient, size, math.inf, opacity, self.most_behind)
             densify(self.background, rules, ~self.around.objects(means), rng)
 
     def _sets(self) -> list[TrainableSet]:
@@ -338,6 +338,13 @@ class TrainableField:
         background = nothing if self.background is None else self.background.freeze()
         poses = {} if self.poses is None else self.poses.found()
         return SurfelField(self.geometry.freeze(), local, background, model, self.near, poses)
+
+
+def _tensors(raw: RawSet) -> dict[str, Tensor]:
+    """Copies, in the order in which they are optimised."""
+    first = ("means", "quats", "log_scales", "raw_opacities")
+    names = [*first, *(name for name in raw if name not in first)]
+    return {name: torch.from_numpy(np.array(raw[name])) for name in names}
 
 
 def _below(prefix: str, state: dict[str, Tensor]) -> dict[str, Tensor]:

@@ -17,7 +17,7 @@ from refdgs_pipe.training.carving import boundary, empty_cells, needed_by_masks
 from refdgs_pipe.training.ground import Surroundings
 from refdgs_pipe.training.outlines import outline_shifts
 from refdgs_pipe.training.photos import TrainingPhoto
-from refdgs_pipe.training.settings import TrainParams
+from refdgs_pipe.training.settings import StartParams
 from refdgs_pipe.training.volume import hollow_cells
 
 F32 = NDArray[np.float32]
@@ -132,17 +132,15 @@ def carved(
 
 
 def hull_cloud(
-    p: TrainParams,
+    p: StartParams,
     model: SparseModel,
     photos: list[TrainingPhoto],
     rng: np.random.Generator,
-    restored: bool,
     progress: Callable[[int, int], None] | None,
 ) -> Cloud | None:
     """Where surfels start within the photos' masks, or None if those have nothing in common.
 
     Args:
-        restored: the surfels are about to be replaced, so that no hollows are looked for.
         progress: told the steps done and their number; may raise.
     """
     cameras = [photo.camera for photo in photos]
@@ -151,9 +149,9 @@ def hull_cloud(
     hull = visual_hull(model.ball, cameras, covers)
     if hull is None:
         return None
-    if p.start == "volume":
+    if p.masked == "volume":
         return volume_cloud(hull, p.surfels, rng)
-    if p.start == "carved" and not restored:
+    if p.masked == "carved":
         pictures = [photo.rgb.float() / 255 for photo in photos]
         hull = carved(
             hull,

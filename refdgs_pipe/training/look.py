@@ -5,7 +5,7 @@ a crystal ball that shows the object as its reflection. A short run that asks fo
 finds the object instead; what it covers stands for masks when the start is looked for.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,8 +17,9 @@ from torch import Tensor
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.training.field import TrainableField
 from refdgs_pipe.training.photos import TrainingPhoto, shrunk
-from refdgs_pipe.training.settings import TrainParams
+from refdgs_pipe.training.settings import StartParams, TrainParams
 from refdgs_pipe.training.shading import draw
+from refdgs_pipe.training.starting import Given, start_of
 from refdgs_pipe.training.step import take_step
 
 Progress = Callable[[int, int], None]
@@ -28,9 +29,6 @@ _LEAST = 0.002  # of the median photo, that an object covers
 _REACH = 0.0075  # of the longer side: masks that were found are blurred by less
 _FILE = "look.safetensors"
 _GENTLE = {
-    "reflection": True,  # without it, mirrors are lost, and what is matte is found as well with it
-    "local": "dual",
-    "start": "ball",
     "normal_weight": 0.05,
     "normal_edge": 1000.0,
     "distortion_weight": 0.0,
@@ -45,8 +43,8 @@ _GENTLE = {
     "rate_environment": 0.002,
     "rate_shader": 5e-4,
     "rate_features": 0.002,
-    "look_steps": 0,
 }
+"""What differs from the defaults. Reflections take part: without them mirrors are lost."""
 
 
 @dataclass(frozen=True)
@@ -55,23 +53,20 @@ class Look:
 
     Args:
         photos: those that were given, each with the object as its mask; without, if none was found.
-        background: what lies behind the object, as `TrainableSet.raw` has it; None without a look.
+        background: what lies behind the object, as `TrainableSet.raw` has it.
+        covers: photo -> (h, w) uint8, how much of each pixel the object covers; empty if no object
+            was found.
+        random: state of torch's generator after the look.
     """
 
     photos: list[TrainingPhoto]
-    background: dict[str, Tensor] | None
-
-    @property
-    def limited(self) -> list[TrainingPhoto]:
-        """The photos as they were given, with what the look saw no object near."""
-        return [
-            replace(photo, mask=None, beyond=None if photo.mask is None else _beyond(photo.mask))
-            for photo in self.photos
-        ]
+    background: dict[str, Tensor]
+    covers: dict[str, np.ndarray]
+    random: Tensor
 
 
 def look(
-    params: TrainParams,
+    params: StartParams,
     model: SparseModel,
     photos: list[TrainingPhoto],
     scratch: Path,
@@ -90,16 +85,42 @@ def look(
     if not kept.is_file():
         _keep(kept, params, model, photos, near=near, device=device, progress=progress)
     tensors = load_file(kept)
-    masks = [tensors.pop(f"mask {i}").numpy() for i in range(len(photos))]
-    shown = float(np.median([(mask > 127).mean() for mask in masks]))
+    random = tensors.pop("random")
+    covers = {photo.camera.name: tensors.pop(f"mask {i}").numpy() for i, photo in enumerate(photos)}
+    shown = float(np.median([(mask > 127).mean() for mask in covers.values()]))
     if shown < _LEAST:  # then nothing is known, and surfels start throughout the ball
-        return Look(photos, tensors)
-    return Look(_with_masks(photos, masks), tensors)
+        covers = {}
+    return Look(covered(photos, covers), tensors, covers, random)
+
+
+def covered(photos: list[TrainingPhoto], covers: Mapping[str, np.ndarray]) -> list[TrainingPhoto]:
+    """The photos with what a look found as their masks, of any size; as they are without a look."""
+    if not covers:
+        return photos
+    import cv2
+
+    out = []
+    for photo in photos:
+        mask = covers.get(photo.camera.name)
+        if mask is not None:
+            size = (photo.camera.width, photo.camera.height)
+            large = cv2.resize(mask, size, interpolation=cv2.INTER_LINEAR)
+            photo = replace(photo, mask=torch.from_numpy(np.ascontiguousarray(large)))
+        out.append(photo)
+    return out
+
+
+def limited(photos: list[TrainingPhoto]) -> list[TrainingPhoto]:
+    """Photos that `covered` gave masks, without those, but with what lies beyond the object."""
+    return [
+        replace(photo, mask=None, beyond=None if photo.mask is None else _beyond(photo.mask))
+        for photo in photos
+    ]
 
 
 def _keep(
     path: Path,
-    params: TrainParams,
+    params: StartParams,
     model: SparseModel,
     photos: list[TrainingPhoto],
     *,
@@ -108,29 +129,38 @@ def _keep(
     progress: Progress | None,
 ) -> None:
     """Look, and write what was found."""
-    small = [shrunk(photo, params.coarse) for photo in photos]
-    field = _looked(params, model, small, near, device, progress)
+    small = [shrunk(photo, params.look_scale) for photo in photos]
+    field, random = _looked(params, model, small, near, device, progress)
     assert field.background is not None
     tensors = {name: raw.detach().cpu() for name, raw in field.background.raw.items()}
     masks = [torch.from_numpy(_covered(field, photo.to(device))) for photo in small]
     tensors |= {f"mask {i}": mask for i, mask in enumerate(masks)}
     part = path.with_suffix(".part")
-    save_file(tensors, part)
+    save_file({**tensors, "random": random}, part)
     part.replace(path)
 
 
 def _looked(
-    params: TrainParams,
+    params: StartParams,
     model: SparseModel,
     photos: list[TrainingPhoto],
     near: float,
     device: str,
     progress: Progress | None,
-) -> TrainableField:
-    """The field of a short run that asks for no sharp surface."""
+) -> tuple[TrainableField, Tensor]:
+    """The field of a short run that asks for no sharp surface, and torch's generator after it."""
     steps = params.look_steps
-    gentle = params.model_copy(update={**_GENTLE, "iterations": steps})
-    field = TrainableField(gentle, model, photos, masked=False, near=near, device=device)
+    own = _GENTLE | {
+        "iterations": steps,
+        "environment_height": params.look_environment,
+        "max_surfels": params.look_surfels,
+        "surfels_per_pixel": params.look_surfels_per_pixel,
+    }
+    start = start_of(
+        Given(params.model_copy(update={"masked": "ball"}), model, photos), masked=False
+    )
+    gentle = TrainParams.model_validate(own)
+    field = TrainableField(gentle, model, start, photos, masked=False, near=near, device=device)
     photos = [photo.to(device) for photo in photos]
     rng = torch.Generator().manual_seed(params.seed)
     backdrop = torch.zeros(3, device=device)
@@ -142,7 +172,7 @@ def _looked(
         take_step(field, photo, backdrop, step / steps)
         if field.adapts(step + 1):
             field.adapt(step + 1, rng)
-    return field
+    return field, field.random
 
 
 def _covered(field: TrainableField, photo: TrainingPhoto) -> np.ndarray:
@@ -162,15 +192,3 @@ def _beyond(mask: Tensor) -> Tensor:
     kernel = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
     near = cv2.dilate((mask.numpy() > 127).astype(np.uint8), kernel)
     return torch.from_numpy(near == 0)
-
-
-def _with_masks(photos: list[TrainingPhoto], masks: list[np.ndarray]) -> list[TrainingPhoto]:
-    """The photos with masks of any size."""
-    import cv2
-
-    out = []
-    for photo, mask in zip(photos, masks, strict=True):
-        size = (photo.camera.width, photo.camera.height)
-        large = cv2.resize(mask, size, interpolation=cv2.INTER_LINEAR)
-        out.append(replace(photo, mask=torch.from_numpy(np.ascontiguousarray(large))))
-    return out

@@ -12,6 +12,7 @@ from torch import Tensor
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import Camera
+from refdgs_pipe.errors import TrainingError
 from refdgs_pipe.ops import Pinhole
 
 TENSORS = ("rgb", "mask", "valid", "held", "which", "beyond")
@@ -56,10 +57,16 @@ class TrainingPhoto:
 def load_training_photos(
     views: Views, model: SparseModel, *, max_side: int, near: float
 ) -> list[TrainingPhoto]:
-    """All photos of the train split, no larger than `max_side` pixels."""
+    """All photos of the train split, no larger than `max_side` pixels.
+
+    Raises:
+        TrainingError: there are none.
+    """
     from refdgs_pipe.artifacts.photos import load_photo
 
     cameras = [camera for camera in model.cameras if camera.split == "train"]
+    if not cameras:
+        raise TrainingError("no photo is left to train on: every view is held out or lost")
     photos = []
     for camera in cameras:
         scale = min(1.0, max_side / max(camera.width, camera.height))

@@ -22,10 +22,27 @@ from refdgs_pipe.training.surfels import TrainableSet
 F64 = NDArray[np.float64]
 
 OPACITY = 0.9
-# Rotations go on at this share of their rate: discs are turned as all views agree, and what photos
-# hardly tell is not to be shaken by steps that are as large whatever the gradient.
-TURNING = 0.1
 OVERLAP = 0.6  # standard deviation of a disc, in the distances between discs
+
+
+@dataclass(frozen=True)
+class Renewal:
+    """What surfels start anew on, and how.
+
+    Args:
+        mesh: of the field's own views; None: there is none, and `why_not` says why.
+        surfels: that start for each that was there, a factor.
+        most: surfels at most, unless more were there.
+        turning: share of the rotations' rate that is left from then on: discs are turned as all
+            views agree, and what photos hardly tell is not to be shaken by steps that are as large
+            whatever the gradient.
+    """
+
+    mesh: TriangleMesh | None
+    why_not: str
+    surfels: float
+    most: int
+    turning: float
 
 
 @dataclass(frozen=True)

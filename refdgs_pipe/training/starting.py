@@ -9,15 +9,17 @@ import torch
 from torch import Tensor
 
 from refdgs_pipe.artifacts.sparse_model import SparseModel
+from refdgs_pipe.artifacts.start import Start
 from refdgs_pipe.color import linear_from_srgb
 from refdgs_pipe.training import initial
 from refdgs_pipe.training.ground import Surroundings
 from refdgs_pipe.training.photos import TrainingPhoto
-from refdgs_pipe.training.settings import TrainParams
-from refdgs_pipe.training.surfels import raw_diffuse_of
+from refdgs_pipe.training.settings import StartParams
+from refdgs_pipe.training.surfels import array, raw_diffuse_of
 
 SURFACE_OPACITY = 0.5  # of discs on a surface that is known
 BALL_OPACITY = 0.1
+LOCAL_OPACITY = 0.1
 BACKGROUND_OPACITY = 0.1
 SKY_OPACITY = 0.9
 BALL_MARGIN = 1.1  # object surfels may stray this far, in ball radii
@@ -31,40 +33,72 @@ class Given:
     Args:
         photos: on the CPU; those with masks start in their hull.
         agreed: what photos without masks agree on, if that is what they start from.
-        restored: the surfels are about to be replaced by those of a checkpoint.
+        behind: the background's surfels, if they are known.
+        covers: of `Start`.
+        random: of `Start`; null: as the seed sets it.
         progress: told the steps done and their number; may raise.
     """
 
-    params: TrainParams
+    params: StartParams
     model: SparseModel
     photos: list[TrainingPhoto]
-    around: Surroundings
-    agreed: initial.Cloud | None
-    restored: bool
-    progress: Callable[[int, int], None] | None
+    agreed: initial.Cloud | None = None
+    behind: dict[str, Tensor] | None = None
+    covers: dict[str, np.ndarray] | None = None
+    random: Tensor | None = None
+    progress: Callable[[int, int], None] | None = None
 
 
-def starting_geometry(given: Given, rng: np.random.Generator) -> tuple[dict[str, Tensor], bool]:
+def start_of(given: Given, *, masked: bool) -> Start:
+    """Surfels for photos whose background was removed (`masked`), or was not."""
+    p, model = given.params, given.model
+    around = Surroundings(model, ground=p.ground == "background" and not masked)
+    rng = np.random.default_rng(p.seed)
+    geometry, faint = _geometry(given, around, rng)
+    spread = initial.ball_cloud(model.ball, p.local_surfels, rng)
+    local = initial.raw_discs(spread, LOCAL_OPACITY)
+    background = None
+    if not masked:
+        background = given.behind or _background(given, around, rng)
+    random = given.random
+    if random is None:
+        random = torch.Generator().manual_seed(p.seed).get_state()
+    return Start(
+        geometry=_arrays(geometry),
+        local=_arrays(local),
+        background=None if background is None else _arrays(background),
+        faint=faint,
+        covers=given.covers or {},
+        ball=model.ball,
+        random=random.numpy(),
+        seed=p.seed,
+        max_side=p.max_side,
+        ground=p.ground,
+        surfels=p.surfels,
+        background_surfels=p.background_surfels,
+        bfloat16=p.bfloat16,
+    )
+
+
+def _arrays(raw: dict[str, Tensor]) -> dict[str, np.ndarray]:
+    return {name: array(values) for name, values in raw.items()}
+
+
+def _geometry(
+    given: Given, around: Surroundings, rng: np.random.Generator
+) -> tuple[dict[str, Tensor], bool]:
     """The object's surfels, and whether they are faint: spread where there may be nothing."""
-    p = given.params
-    cloud, opacity = _geometry_cloud(given, rng)
-    faint = opacity < SURFACE_OPACITY
+    cloud, opacity = _geometry_cloud(given, around, rng)
     raw = initial.raw_discs(cloud, opacity)
-    n = len(cloud.points)
-    if given.agreed is None:
-        raw["raw_diffuse"] = torch.full((n, 3), -p.diffuse_bias if p.reflection else 0.0)
-    else:
+    if given.agreed is not None:
         linear = linear_from_srgb(cloud.colors.astype(np.float32))
         raw["raw_diffuse"] = raw_diffuse_of(torch.from_numpy(linear))
-    raw["raw_roughness"] = torch.zeros(n)
-    if p.reflection and p.local == "shared":
-        raw["features"] = torch.zeros(n, 4)
-    return raw, faint
+    return raw, opacity < SURFACE_OPACITY
 
 
-def starting_background(given: Given, rng: np.random.Generator) -> dict[str, Tensor]:
+def _background(given: Given, around: Surroundings, rng: np.random.Generator) -> dict[str, Tensor]:
     """A sky, and what is known to lie outside of the object."""
-    model, around = given.model, given.around
+    model = given.model
     cameras = [photo.camera for photo in given.photos]
     mean = torch.stack([photo.rgb.float().mean((1, 2)) for photo in given.photos]).mean(0) / 255
     cloud = initial.sky_cloud(model.ball, cameras, mean.double().numpy())
@@ -86,16 +120,18 @@ def starting_background(given: Given, rng: np.random.Generator) -> dict[str, Ten
     return raw
 
 
-def _geometry_cloud(given: Given, rng: np.random.Generator) -> tuple[initial.Cloud, float]:
+def _geometry_cloud(
+    given: Given, around: Surroundings, rng: np.random.Generator
+) -> tuple[initial.Cloud, float]:
     """Where the object's surfels start, and how opaque they are."""
-    p, model, around, photos = given.params, given.model, given.around, given.photos
+    p, model, photos = given.params, given.model, given.photos
     if given.agreed is not None:
         own = around.objects(torch.from_numpy(given.agreed.points)).numpy()
         return initial.chosen(given.agreed, own), SURFACE_OPACITY
-    if p.start != "ball" and all(photo.mask is not None for photo in photos):
-        hull = initial.hull_cloud(p, model, photos, rng, given.restored, given.progress)
+    if p.masked != "ball" and all(photo.mask is not None for photo in photos):
+        hull = initial.hull_cloud(p, model, photos, rng, given.progress)
         if hull is not None:
-            return hull, p.start_opacity if p.start == "volume" else SURFACE_OPACITY
+            return hull, p.opacity if p.masked == "volume" else SURFACE_OPACITY
     cloud = initial.ball_cloud(model.ball, p.surfels, rng)
     cloud = initial.chosen(cloud, around.above(torch.from_numpy(cloud.points)).numpy())
     inside = around.objects(torch.from_numpy(model.points), BALL_MARGIN).numpy()

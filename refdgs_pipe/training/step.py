@@ -2,8 +2,10 @@
 
 from dataclasses import dataclass, replace
 
+import numpy as np
 from torch import Tensor
 
+from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.ops import (
     Pinhole,
     Plan,
@@ -21,6 +23,11 @@ from refdgs_pipe.training.settings import TrainParams
 from refdgs_pipe.training.shading import SHADED_ALPHA, Picture, draw
 
 NEAR = 0.02  # of the distance of the nearest camera to the ball's centre
+
+
+def near_of(model: SparseModel) -> float:
+    """Depth before which nothing is drawn, world units."""
+    return NEAR * min(float(np.linalg.norm(c.center - model.ball.center)) for c in model.cameras)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from refdgs_pipe.geometry import one_sided
 from refdgs_pipe.training.ground import Surroundings
 from refdgs_pipe.training.initial import Cloud, neighbour_sizes
 from refdgs_pipe.training.photos import TrainingPhoto
-from refdgs_pipe.training.settings import TrainParams
+from refdgs_pipe.training.settings import StartParams
 
 Progress = Callable[[int, int], None]
 
@@ -22,7 +22,7 @@ _FILE = "stereo.safetensors"
 
 
 def agreed_cloud(
-    params: TrainParams,
+    params: StartParams,
     model: SparseModel,
     photos: list[TrainingPhoto],
     scratch: Path,
@@ -53,7 +53,7 @@ def agreed_cloud(
 
 def _keep(
     path: Path,
-    params: TrainParams,
+    params: StartParams,
     model: SparseModel,
     photos: list[TrainingPhoto],
     progress: Progress | None,

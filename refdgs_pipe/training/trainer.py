@@ -3,16 +3,18 @@
 import json
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from refdgs_pipe.artifacts.mesh import TriangleMesh
+from refdgs_pipe.artifacts.checkpoint import Checkpoint
 from refdgs_pipe.artifacts.sparse_model import SparseModel
+from refdgs_pipe.artifacts.start import Start
 from refdgs_pipe.artifacts.surfel_field import SurfelField
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.errors import Cancelled, MeshError, TrainingError
@@ -23,15 +25,15 @@ from refdgs_pipe.ops.plan import Asked
 from refdgs_pipe.training.checkpoint import read_checkpoint, write_checkpoint
 from refdgs_pipe.training.coverage import coverage
 from refdgs_pipe.training.field import TrainableField
-from refdgs_pipe.training.initial import Cloud
-from refdgs_pipe.training.look import Look, look
+from refdgs_pipe.training.figures import Figures, Progress
+from refdgs_pipe.training.look import covered, limited
 from refdgs_pipe.training.photos import TrainingPhoto, load_training_photos, numbered, shrunk
 from refdgs_pipe.training.plateau import Plateau, hold_out
 from refdgs_pipe.training.recorded import RecordedSteps
-from refdgs_pipe.training.renewal import TURNING, renewed
+from refdgs_pipe.training.renewal import Renewal, renewed
 from refdgs_pipe.training.settings import TrainParams
-from refdgs_pipe.training.step import NEAR, Taken
-from refdgs_pipe.training.stereo_start import agreed_cloud
+from refdgs_pipe.training.step import Taken, near_of
+from refdgs_pipe.training.surfels import array
 from refdgs_pipe.training.work import share_behind
 
 
@@ -45,21 +47,6 @@ class Moment:
     backdrop: Tensor  # (3,) sRGB, on the CPU
 
 
-@dataclass(frozen=True)
-class Figures:
-    """How a run goes: running means of the loss and of the PSNR in dB, and geometry surfels."""
-
-    loss: float
-    psnr: float
-    surfels: int
-
-    @property
-    def words(self) -> str:
-        """For people."""
-        return f"loss {self.loss:.4f}  PSNR {self.psnr:.2f} dB  {self.surfels} surfels"
-
-
-Progress = Callable[[int, int, Figures, float], None]  # step, steps, share of the work
 CHECKPOINT_SECONDS = 30.0
 REPORT_STEPS = 10
 COVERAGE_VIEWS = 6
@@ -67,95 +54,77 @@ LEAST_KEPT = 0.85  # of what the field shows, by discs on its mesh: new ones lea
 
 
 class Trainer:
-    """Owns the field, the photos and the random numbers of one run.
+    """Owns the field, the photos and the random numbers of one part of a run.
+
+    The first part ends where surfels start anew, or with the run. The second one goes on from a
+    checkpoint of the first.
 
     Args:
+        start: where the run began.
+        after: what the first part ended with; None: this is the first part.
+        renewal: what surfels start anew on, and how, when the second part begins.
         device: where the steps are computed, "cpu" or "cuda"; results are on the CPU.
         cuda_graph: whether recorded steps are repeated on a GPU: always (or an error), never, or
             (None) where they prove equal.
         photos: those of the views, if they are in memory already.
         warn: told what does not go as it should and does not end the run.
-        starting: told the steps done and their number while the start is looked for; may raise.
-        surface: the mesh of a field, to start anew on; may raise.
+
+    Raises:
+        TrainingError: no view is left to train on.
     """
 
     def __init__(
         self,
         views: Views,
         model: SparseModel,
+        start: Start,
         params: TrainParams,
         scratch: Path,
         *,
+        after: Checkpoint | None = None,
+        renewal: Renewal | None = None,
         device: str = "cpu",
         cuda_graph: bool | None = None,
         photos: list[TrainingPhoto] | None = None,
         warn: Callable[[str], None] | None = None,
-        starting: Callable[[int, int], None] | None = None,
-        surface: Callable[[SurfelField], TriangleMesh] | None = None,
     ) -> None:
         keep_freed_memory()
-        self.params, self.model, self.scratch, self.device = params, model, scratch, device
-        distances = [float(np.linalg.norm(c.center - model.ball.center)) for c in model.cameras]
-        self.near = NEAR * min(distances)
+        model = replace(model, ball=start.ball)
+        self.params, self.model, self.start = params, model, start
+        self.scratch, self.device = scratch, device
+        near = near_of(model)
         if photos is None:
-            photos = load_training_photos(views, model, max_side=params.max_side, near=self.near)
-        if not photos:
-            raise TrainingError("no photo is left to train on: every view is held out or lost")
-        self.rng = torch.Generator().manual_seed(params.seed)
-        torch.manual_seed(params.seed)
+            photos = load_training_photos(views, model, max_side=start.max_side, near=near)
+        self.rng = torch.Generator().manual_seed(start.seed)
         self.masked = views.background != "photo"
-        agreed, seen = self._start(photos, starting)
-        self.stereo = agreed is not None
-        photos = seen.limited if seen.background is not None else photos
+        seen = covered(photos, start.covers)
+        photos = limited(seen) if start.covers else photos
+        refined = params.poses == "refined" and not views.has_known_poses
         self.field = TrainableField(
             params,
             model,
-            seen.photos,
+            start,
+            seen,
             masked=self.masked,
-            near=self.near,
+            near=near,
             device=device,
-            behind=seen.background,
-            agreed=agreed,
-            refined=params.poses == "refined" and not views.has_known_poses,
-            restored=read_checkpoint(scratch) is not None,
-            progress=starting,
+            refined=refined,
         )
         if self.field.exposures is not None:
             photos = numbered(photos)
         if params.patience > 0:
-            photos = hold_out(photos, params.seed)
+            photos = hold_out(photos, start.seed)
         self.full = [photo.to(device) for photo in photos]
         self.plateau = Plateau(params, photos, self.field.reflect_from)
         self.skipped = 0  # steps of the schedule that were left out
         self.scales: dict[float, list[TrainingPhoto]] = {1.0: self.full}
-        self.surface, self.warn = surface, warn
-        self.renewed = surface is None or params.renew_at >= 1
+        self.after, self.renewal, self.warn = after, renewal, warn
         self.refused, self.calm = "", False
         self.iteration, self.loss, self.psnr = 0, math.nan, math.nan
-        self.curve: list[tuple[int, float, float]] = []
         self.plan = None if device == "cpu" else Plan(device)
         recorder, insists = self._recorder(cuda_graph), cuda_graph is True
         self.steps = RecordedSteps(self.field, recorder, insists=insists, warn=warn)
         self._later: Readback[tuple[Moment, Asked]] = Readback(device)  # loss, errors, needs
-
-    def _start(
-        self, photos: list[TrainingPhoto], starting: Callable[[int, int], None] | None
-    ) -> tuple[Cloud | None, Look]:
-        """What photos without masks agree on, if they start there, or what a look at them found."""
-        agreed = None
-        if not self.masked:
-            agreed = agreed_cloud(self.params, self.model, photos, self.scratch, starting)
-        if self.masked or agreed is not None or self.params.look_steps == 0:
-            return agreed, Look(photos, None)
-        return None, look(
-            self.params,
-            self.model,
-            photos,
-            self.scratch,
-            near=self.near,
-            device=self.device,
-            progress=starting,
-        )
 
     def _recorder(self, wanted: bool | None) -> Recorder | None:
         """What records a GPU's steps, where they can be and may be."""
@@ -168,6 +137,13 @@ class Trainer:
         may = wanted is not False and not refines
         return Recorder() if self.device == "cuda" and may else None
 
+    @property
+    def end(self) -> int:
+        """The step of the schedule that this part ends before."""
+        p = self.params
+        whole = self.after is not None or p.renew_at >= 1
+        return p.iterations if whole else min(p.iterations, math.ceil(p.renew_at * p.iterations))
+
     def run(self, progress: Progress) -> SurfelField:
         """Train to the end, or until `progress` raises; a checkpoint is kept either way.
 
@@ -178,15 +154,15 @@ class Trainer:
         self._resume()
         saved = time.monotonic()
         try:
-            while self.position < self.params.iterations:
+            while self.position < self.end:
                 self.step()
-                last = self.position == self.params.iterations
-                if self.iteration % REPORT_STEPS == 0 or last:
-                    if self.params.patience > 0:
-                        self._skip_a_plateau()
+                is_through = self.position == self.params.iterations
+                told = self.iteration % REPORT_STEPS == 0 or is_through
+                if told and self.params.patience > 0:
+                    self._skip_a_plateau()
+                if told or self.position >= self.end:
                     figures = Figures(self.loss, self.psnr, len(self.field.geometry))
-                    total = self.params.iterations - self.skipped
-                    progress(self.iteration, total, figures, self._behind())
+                    progress(self.iteration, self.end - self.skipped, figures, self._behind())
                 if time.monotonic() - saved > CHECKPOINT_SECONDS:
                     self.save()
                     saved = time.monotonic()
@@ -194,10 +170,14 @@ class Trainer:
             self.save()
             raise
         self._read(all_of_them=True)
-        if not self.renewed:
+        if self.after is None and self.end == self.params.iterations and self.params.renew_at < 1:
             self.refused = "the run ended before (train.renew_at)"
         if self.refused and self.warn is not None:
             self.warn(f"surfels did not start anew, and normals are as they were: {self.refused}")
+        return self.frozen()
+
+    def frozen(self) -> SurfelField:
+        """The field as it is, and its ball."""
         return replace(self.field.freeze(), ball=self.model.ball)
 
     @property
@@ -225,20 +205,25 @@ class Trainer:
             f"{p.patience_tolerance:g} dB in {p.patience:.0%} of the run"
         )
 
-    def figures(self, field: SurfelField) -> list[tuple[str, float | int | str, str]]:
-        """What to tell of a run that is through: name, value, unit."""
-        early = [("stopped early", self.early, "")] if self.early else []
-        side = [("start", "what neighbouring photos agree on", "")] if self.stereo else []
-        return [
-            *side,
-            ("steps", self.iteration, ""),
-            *early,
-            ("loss", round(self.loss, 5), ""),
-            ("train PSNR", round(self.psnr, 2), "dB"),
-            ("surfels", len(field.geometry), ""),
-            ("local surfels", len(field.local), ""),
-            ("background surfels", len(field.background), ""),
-        ]
+    def figures(self) -> dict[str, Any]:
+        """What a checkpoint keeps besides tensors."""
+        return {
+            "iteration": self.iteration,
+            "loss": self.loss,
+            "psnr": self.psnr,
+            "skipped": self.skipped,
+            "early": self.early,
+            "plateau": self.plateau.state(),
+        }
+
+    def checkpoint(self, field: SurfelField) -> Checkpoint:
+        """What the second part goes on from, after a run that ended in this field."""
+        is_last = self.position >= self.params.iterations
+        tensors = {} if is_last else {k: array(v) for k, v in self._state().items()}
+        settings = self.params.model_dump(mode="json")
+        return Checkpoint(
+            field, tensors, self.figures(), settings, self.start.max_side, self.coverage(field)
+        )
 
     def coverage(self, field: SurfelField) -> float:
         """How much of the object the field shows, over a few training photos; see `coverage`."""
@@ -254,8 +239,6 @@ class Trainer:
 
     def step(self) -> None:
         """One photo, one gradient, one update."""
-        if not self.renewed and self.position >= self.params.renew_at * self.params.iterations:
-            self._renew()
         fraction = self.position / self.params.iterations
         photo = self._photo(fraction)
         backdrop = torch.rand(3, generator=self.rng) if self.masked else torch.zeros(3)
@@ -268,15 +251,16 @@ class Trainer:
             if self.plan is not None:
                 self.plan.settle()
 
-    def _renew(self) -> None:
+    def _renew(self, renewal: Renewal) -> None:
         """Let the object's surfels start anew on the mesh of the field as it is."""
-        assert self.surface is not None
-        self._read(all_of_them=True)
-        field, group, p = self.field.freeze(), self.field.geometry, self.params
-        rng, most = np.random.default_rng(p.seed), max(len(group), p.most_surfels)
-        count = min(round(p.renew_surfels * len(group)), most)
+        field, group = self.frozen(), self.field.geometry
+        rng = np.random.default_rng(self.start.seed)
+        most = max(len(group), renewal.most)
+        count = min(round(renewal.surfels * len(group)), most)
         try:
-            fresh = renewed(group, self.surface(field), count, rng)
+            if renewal.mesh is None:
+                raise MeshError(renewal.why_not)
+            fresh = renewed(group, renewal.mesh, count, rng)
             before = self.coverage(field)
             shown = self.coverage(replace(field, geometry=fresh.frozen(group))) / max(before, 1e-6)
             if shown < LEAST_KEPT:
@@ -288,14 +272,12 @@ class Trainer:
             self._calm()
             if self.plan is not None:
                 self.plan.settle()
-        self.renewed = True
 
     def _calm(self) -> None:
         """From now on surfels of all sets turn slowly."""
-        if self.calm:
-            return
-        self.calm = True
-        self.field.rates["quats"] *= TURNING
+        if self.renewal is not None and not self.calm:
+            self.calm = True
+            self.field.rates["quats"] *= self.renewal.turning
 
     def _update(self, moment: Moment) -> None:
         self.field.set_rates(moment.fraction)
@@ -343,7 +325,7 @@ class Trainer:
         if not math.isfinite(value):
             raise TrainingError(
                 f"training diverged at step {step + 1}: the loss is {value}. The last good "
-                "checkpoint is kept; lower train.rate_means or change train.seed and run again"
+                "checkpoint is kept; lower train.rate_means or change start.seed and run again"
             )
         psnr = -10 * math.log10(max(error, 1e-10))
         keep = 0.98 if math.isfinite(self.loss) else 0.0
@@ -351,40 +333,50 @@ class Trainer:
         self.psnr = psnr if not keep else keep * self.psnr + (1 - keep) * psnr
         if math.isfinite(held):
             self.plateau.note(moment.photo.camera.name, held, moment.fraction)
-        if step % 50 == 0:
-            self.curve.append((step, self.loss, self.psnr))
 
     def _behind(self) -> float:
-        steps = self.params.iterations
-        skipped = self.skipped / steps
-        return share_behind(self.params, self.field.reflect_from, self.position / steps, skipped)
+        """The share of this part's work that is done."""
+        steps, skipped = self.params.iterations, self.skipped
+
+        def whole(position: float) -> float:
+            reflect, left_out = self.field.reflect_from, skipped / steps
+            return share_behind(self.params, reflect, position / steps, left_out)
+
+        begin = 0.0
+        if self.after is not None:
+            figures = self.after.figures
+            begin = whole(figures["iteration"] + figures["skipped"])
+        end = whole(self.end)
+        return (whole(self.position) - begin) / max(end - begin, 1e-9)
+
+    def _state(self) -> dict[str, Tensor]:
+        self._read(all_of_them=True)
+        return {**self.field.state(), "rng": self.rng.get_state()}
 
     def save(self) -> None:
         """Write the checkpoint; an older one is replaced only when the new one is complete."""
-        self._read(all_of_them=True)
-        tensors = {**self.field.state(), "rng": self.rng.get_state()}
-        figures: dict[str, object] = {
-            "iteration": self.iteration,
-            "loss": self.loss,
-            "psnr": self.psnr,
-        }
-        figures |= {"skipped": self.skipped, "plateau": self.plateau.state(), "curve": self.curve}
-        figures |= {"renewed": self.renewed, "refused": self.refused, "calm": self.calm}
+        tensors = self._state()
+        figures = self.figures() | {"refused": self.refused, "calm": self.calm}
         write_checkpoint(self.scratch, tensors, json.dumps(figures))
 
     def _resume(self) -> None:
+        """Go on from where this part was stopped, or from what the first part ended with."""
         found = read_checkpoint(self.scratch)
-        if found is None:
-            return
-        tensors, text = found
-        figures = json.loads(text)
+        if found is not None:
+            tensors, text = found
+            self._restore(tensors, json.loads(text))
+        elif self.after is not None:
+            given = {k: torch.from_numpy(np.array(v)) for k, v in self.after.tensors.items()}
+            self._restore(given, self.after.figures)
+            if self.renewal is not None:
+                self._renew(self.renewal)
+
+    def _restore(self, tensors: dict[str, Tensor], figures: Mapping[str, Any]) -> None:
         self.rng.set_state(tensors.pop("rng"))
         self.field.restore(tensors)
         self.iteration, self.loss, self.psnr = (figures[k] for k in ("iteration", "loss", "psnr"))
-        self.skipped = figures.get("skipped", 0)
-        self.renewed = figures.get("renewed", self.renewed)
+        self.skipped = figures["skipped"]
         self.refused = figures.get("refused", "")
         if figures.get("calm"):
             self._calm()
-        self.plateau.restore(figures.get("plateau", {}))
-        self.curve = [(int(a), float(b), float(c)) for a, b, c in figures["curve"]]
+        self.plateau.restore(figures["plateau"])

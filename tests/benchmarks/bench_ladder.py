@@ -22,6 +22,8 @@ from typing import Any
 import pytest
 import torch
 from captures import SHARED, Stages, needs_shared
+from training_runs import Settings
+from training_runs import trained as trained_field
 
 from refdgs_pipe import recipe
 from refdgs_pipe.artifacts.mesh import TriangleMesh
@@ -34,10 +36,9 @@ from refdgs_pipe.evaluation.scoring import compare_maps
 from refdgs_pipe.evaluation.truth import read_view_truth
 from refdgs_pipe.metrics import psnr
 from refdgs_pipe.surface.own import own_surface
+from refdgs_pipe.surface.settings import ShapeParams
 from refdgs_pipe.training import initial
 from refdgs_pipe.training.render import render_image, render_surface_map
-from refdgs_pipe.training.settings import TrainParams
-from refdgs_pipe.training.trainer import Trainer
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(3600)]
 
@@ -69,7 +70,7 @@ ROWS: dict[str, tuple[str, dict[str, Any]]] = {
     "renew_at=1": ("glossy", {"renew_at": 1.0}),
     "outline_cells=0": ("glossy", {"outline_cells": 0.0}),
     "volume_steps=0": ("glossy", {"volume_steps": 0}),
-    "start=hull": ("glossy", {"start": "hull"}),
+    "masked=hull": ("glossy", {"masked": "hull"}),
     "paper-shiny": ("paper-shiny", {"coarse_until": 0.0}),
     "distortion_weight=0": ("glossy", {"distortion_weight": 0.0}),
     "full size throughout": ("glossy", {"coarse_until": 0.0}),
@@ -136,19 +137,19 @@ def trained(row: str, scene: str, folder: Path) -> dict[str, float]:
     """Train a cell and compare it with the held-out views."""
     torch.set_num_threads(int(os.environ.get("OMP_NUM_THREADS", "2")))
     name, changes = ROWS[row]
-    base = recipe.load(name).tables.get("train", {})
+    base = Settings.of(recipe.load(name).tables)
     common = json.loads(os.environ.get("REFDGS_LADDER_SET", "{}"))
-    params = TrainParams.model_validate({**base, **BUDGET, **common, **changes})
+    params = base.but(**{**BUDGET, **common, **changes})
     stages = Stages(folder)
     views = stages.ingest(SHARED / "scenes" / scene)
     model = stages.sfm(views)
 
     def surface(field: SurfelField) -> TriangleMesh:
-        return own_surface(model, partial(render_surface_map, field), None, lambda c, _: c)
+        draw, shape = partial(render_surface_map, field), ShapeParams()
+        return own_surface(model, draw, None, shape, lambda c, _: c)
 
-    trainer = Trainer(views, model, params, folder, surface=surface)
     before = time.process_time()
-    field = trainer.run(lambda *_: None)
+    field = trained_field(views, model, params, folder, surface=surface)
     return {
         **compared(field, views, model, SHARED / "scenes" / scene),
         "core_s": round(time.process_time() - before),

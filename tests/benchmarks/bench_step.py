@@ -12,12 +12,11 @@ import pytest
 import torch
 from PIL import Image
 from scenes import Scene, Sphere, gradient_sky, orbit, waves
+from training_runs import Settings, trainer_of
 
 from refdgs_pipe.artifacts.sparse_model import Ball, SparseModel
 from refdgs_pipe.artifacts.views import Exif, KnownPose, View, Views
 from refdgs_pipe.camera import Lens
-from refdgs_pipe.training.settings import TrainParams
-from refdgs_pipe.training.trainer import Trainer
 
 pytestmark = pytest.mark.benchmark
 WARM, STEPS = 30, 40
@@ -59,7 +58,7 @@ def capture(folder: Path, size: int) -> tuple[Views, SparseModel]:
 )
 def test_step(tmp_path: Path, size: int, surfels: int, local: int) -> None:
     views, model = capture(tmp_path / "views", size)
-    params = TrainParams(
+    params = Settings.of({}).but(
         iterations=1000,
         coarse_until=0.0,
         reflect_from=0.0,
@@ -69,13 +68,14 @@ def test_step(tmp_path: Path, size: int, surfels: int, local: int) -> None:
         max_surfels=surfels,
         local_surfels=local,
         max_local_surfels=local,
-        start="hull",
+        masked="hull",
+        renew_at=1.0,
     )
     before = torch.get_num_threads()
     for threads in (1, 2):
         torch.set_num_threads(threads)
         (tmp_path / str(threads)).mkdir()
-        trainer = Trainer(views, model, params, tmp_path / str(threads))
+        trainer = trainer_of(views, model, params, tmp_path / str(threads))
         for _ in range(WARM):
             trainer.step()
         wall, core = [], time.process_time()

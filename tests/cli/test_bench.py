@@ -73,8 +73,8 @@ def test_every_cell_has_its_figures_and_times(bench: Bench) -> None:
     assert [cell[key] for key in ("scene", "recipe", "seed")] == ["cup", "glossy", 1]
     assert cell["status"] == "done"
     assert cell["figures"] == {"psnr": 33.0, "surface.chamfer": 0.25}
-    assert set(cell["seconds"]) == {"read", "train", "evaluate"}
-    assert cell["train_s"] == cell["seconds"]["train"]
+    assert set(cell["seconds"]) == {"read", "start", "train", "evaluate"}
+    assert cell["train_s"] == cell["seconds"]["start"] + cell["seconds"]["train"]
     assert cell["total_s"] == pytest.approx(sum(cell["seconds"].values()))
     assert (bench.out / "cup-glossy-s1.refdgs" / "workspace.json").is_file()
 
@@ -190,7 +190,7 @@ def test_other_settings_are_other_cells_of_the_same_workspaces(bench: Bench) -> 
     bench("ball", "--set", "train.mood=mute", code=68)
     cell = bench.cells()["ball-glossy-s0"]
     assert cell["status"] == "failed" and "no voice" in cell["reason"]
-    assert cell["figures"] == {} and cell["assignments"] == ["train.mood=mute", "train.seed=0"]
+    assert cell["figures"] == {} and cell["assignments"] == ["train.mood=mute", "start.seed=0"]
 
 
 def test_json_is_the_record(bench: Bench) -> None:
@@ -216,6 +216,7 @@ def test_a_second_bench_in_the_same_folder_is_refused(bench: Bench) -> None:
         (["ball", "--recipes", ","], 64, "expected at least one"),
         (["ball", "--seeds", "a"], 64, "expected whole numbers"),
         (["ball", "--seeds", "-1"], 64, "expected whole numbers"),
+        (["ball", "--set", "start.seed=1"], 64, "are given by --seeds"),
         (["ball", "--set", "train.seed=1"], 64, "are given by --seeds"),
         (["ball", "--set", "train.speed=1"], 64, "no setting 'speed'"),
         (["ball", "other/ball"], 64, "two scenes are called ball"),

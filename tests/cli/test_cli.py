@@ -391,3 +391,27 @@ def test_the_exported_files_get_the_name_of_the_recipe(tmp_path: Path) -> None:
 
     assert named("glossy") == "glossy" and named(str(own)) == "mine"
     assert named("glossy", "export.recipe='other'") == "other"
+
+
+def test_a_workspace_with_settings_under_their_old_names_opens_and_is_renamed(
+    tmp_path: Path,
+) -> None:
+    old = ["train.look_steps=5", "train.seed=2", "train.renew_surfels=1.5", "train.iterations=9"]
+    record = {"photos": [["photos", str(tmp_path)]], "recipe": "preview", "set": old}
+    (tmp_path / "workspace.json").write_text(json.dumps(record))
+    said: list[str] = []
+    space = open_workspace(tmp_path, tell=said.append)
+    settings: Any = space.settings
+    assert (settings["start"].look_steps, settings["start"].seed) == (5, 2)
+    assert settings["refine"].surfels == 1.5 and settings["train"].iterations == 9
+    assert said[0] == "--set train.look_steps=5: train.look_steps is now start.look_steps"
+    assert len(said) == 3
+    assert space.memory.assignments == (
+        "start.look_steps=5",
+        "start.seed=2",
+        "refine.surfels=1.5",
+        "train.iterations=9",
+    )
+    again: list[str] = []
+    open_workspace(tmp_path, space.memory, tell=again.append)
+    assert again == []

@@ -18,8 +18,8 @@ import torch
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parent.parent)]
 import scene as scenery  # noqa: E402
 import training  # noqa: E402
+from training_runs import Settings  # noqa: E402
 
-from refdgs_pipe.training.settings import TrainParams  # noqa: E402
 from refdgs_pipe.training.trainer import Trainer  # noqa: E402
 
 CLOSE = 0.05  # of the loss; every recording has proved itself on a step before
@@ -28,19 +28,19 @@ WARM = 0.6  # of the run, after which steps are timed
 
 def run(options: argparse.Namespace, train: list[scenery.View], graph: str) -> dict[str, Any]:
     """A short run to its end; `graph` is "on" or "off"."""
-    few = {"iterations": options.iterations, "surfels": options.surfels, "start": "ball"}
+    few = {"iterations": options.iterations, "surfels": options.surfels, "masked": "ball"}
     early = {"reflect_from": 0.1, "local_from": 0.3, "coarse_until": 0.0, "densify_every": 40}
-    params = TrainParams(**{**few, **early})
+    params = Settings.of({}).but(**few, **early, renew_at=1.0)
     chosen = argparse.Namespace(**vars(options), graph=graph)
     trainer: Trainer = training.trained(chosen, train, params)
-    begin, warm = 0.0, int(WARM * params.iterations)
-    for k in range(params.iterations):
+    begin, warm = 0.0, int(WARM * params.train.iterations)
+    for k in range(params.train.iterations):
         if k == warm:
             training.synchronize(options.device)
             begin = time.perf_counter()
         trainer.step()
     training.synchronize(options.device)
-    ms = 1e3 * (time.perf_counter() - begin) / (params.iterations - warm)
+    ms = 1e3 * (time.perf_counter() - begin) / (params.train.iterations - warm)
     trainer._read(all_of_them=True)
     found = {"ms a step": ms, "replayed": trainer.steps.replayed, "loss": trainer.loss}
     return {**found, "state": {k: v.cpu() for k, v in trainer.field.state().items()}}

@@ -21,13 +21,14 @@ import torch
 
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parent.parent)]
 import scene as scenery  # noqa: E402
+from training_runs import Settings, trainer_of  # noqa: E402
 
 from refdgs_pipe.metrics import psnr  # noqa: E402
 from refdgs_pipe.ops.gpu import mlp as network  # noqa: E402
 from refdgs_pipe.training.recorded import RecordedSteps  # noqa: E402
 from refdgs_pipe.training.render import render_image  # noqa: E402
-from refdgs_pipe.training.settings import TrainParams  # noqa: E402
-from refdgs_pipe.training.trainer import NEAR, Trainer  # noqa: E402
+from refdgs_pipe.training.step import NEAR  # noqa: E402
+from refdgs_pipe.training.trainer import Trainer  # noqa: E402
 
 TEST_VIEWS = 20
 REPEATED_STEPS = 60  # of two short runs that must agree bit for bit
@@ -39,7 +40,7 @@ def synchronize(device: str) -> None:
         torch.cuda.synchronize()
 
 
-def trained(options: argparse.Namespace, train: list[scenery.View], params: TrainParams) -> Trainer:
+def trained(options: argparse.Namespace, train: list[scenery.View], params: Settings) -> Trainer:
     """A trainer with nothing done yet."""
     radius = scenery.SYNTHETIC_RADIUS if options.scene else 1.1
     views, model = scenery.model_of(train, radius)
@@ -48,7 +49,7 @@ def trained(options: argparse.Namespace, train: list[scenery.View], params: Trai
     photos = scenery.photos_of(train, near)
     graph = {"auto": None, "on": True, "off": False}[options.graph]
     given = {"device": options.device, "cuda_graph": graph, "warn": warnings.append}
-    return Trainer(views, model, params, scratch, photos=photos, **given)
+    return trainer_of(views, model, params, scratch, photos=photos, **given)
 
 
 def usual(trainer: Trainer) -> None:
@@ -66,11 +67,11 @@ def step_times(trainer: Trainer, device: str, steps: int) -> float:
     return 1e3 * (time.perf_counter() - start) / steps
 
 
-def repeats(options: argparse.Namespace, train: list[scenery.View], params: TrainParams) -> bool:
+def repeats(options: argparse.Namespace, train: list[scenery.View], params: Settings) -> bool:
     """Whether two short runs end in the same bits."""
-    early = {"start": "ball", "reflect_from": 0.0, "local_from": 0.2, "densify_every": 20}
-    few = {"iterations": REPEATED_STEPS, "surfels": min(params.surfels, 5000)}
-    short = params.model_copy(update={**early, **few})
+    early = {"masked": "ball", "reflect_from": 0.0, "local_from": 0.2, "densify_every": 20}
+    few = {"iterations": REPEATED_STEPS, "surfels": min(params.start.surfels, 5000)}
+    short = params.but(**early, **few)
     ends = []
     for _ in range(2):
         trainer = trained(options, train[:12], short)
@@ -92,9 +93,10 @@ def main() -> int:
     parser.add_argument("--surfels", type=int, default=20_000)
     parser.add_argument("--graph", default="auto", choices=["auto", "on", "off"])
     options = parser.parse_args()
-    params = TrainParams(iterations=options.iterations, surfels=options.surfels)
+    params = Settings.of({})
+    params = params.but(iterations=options.iterations, surfels=options.surfels, renew_at=1.0)
     if options.device == "cpu":  # where OpenCV shrinks photos
-        params = params.model_copy(update={"coarse_until": 0.0})
+        params = params.but(coarse_until=0.0)
     begin = time.monotonic()
     if options.scene:
         train, test = scenery.read_folder(options.scene, options.side, TEST_VIEWS)
@@ -106,7 +108,9 @@ def main() -> int:
     trainer = trained(options, train, params)
     start_s, begin = time.monotonic() - begin, time.monotonic()
     seconds = {}
-    while trainer.iteration < params.iterations and time.monotonic() - begin < options.seconds:
+    while (
+        trainer.iteration < params.train.iterations and time.monotonic() - begin < options.seconds
+    ):
         trainer.step()
         if trainer.iteration % 1000 == 0:
             synchronize(options.device)
@@ -141,7 +145,7 @@ def main() -> int:
         "views": [len(train), len(test)],
         "size": [train[0][0].width, train[0][0].height],
         "steps": steps,
-        "of steps": params.iterations,
+        "of steps": params.train.iterations,
         "seconds": train_s,
         "seconds at step": seconds,
         "ms a step": 1e3 * train_s / max(1, steps),

@@ -16,7 +16,7 @@ from refdgs_pipe.pipeline.store import Store
 from refdgs_pipe.reporting import asset, html, overview
 from refdgs_pipe.reporting import facts as facts_module
 from refdgs_pipe.reporting.dimensions import Dimensions, dimensions, is_size_known
-from refdgs_pipe.reporting.facts import Drawing, Facts, collect
+from refdgs_pipe.reporting.facts import TRAINED, Drawing, Facts, collect
 from refdgs_pipe.reporting.overview import Reason, judge
 from refdgs_pipe.reporting.page import SECTIONS, page, write_report
 
@@ -58,6 +58,13 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Facts:
             for i in (10, 20, 30)
         ),
         {"event": "finished", "stage": "train", "seconds": finished.SECONDS},
+        {
+            "event": "sampled",
+            "stage": "refine",
+            "step": 40,
+            "figures": {"loss": 0.02, "psnr": 41},
+        },
+        {"event": "finished", "stage": "refine", "seconds": finished.SECONDS},
     )
     return facts_of(root)
 
@@ -313,6 +320,23 @@ def test_a_resumed_training_gives_one_curve(tmp_path: Path) -> None:
     finished.log(store, *map(told, (210, 310)), done, name="3")
     curve = facts_of(store.root, until="train").notes.curve
     assert [step for step, _, _ in curve] == [10, 100, 200, 210, 310]
+
+
+def test_both_parts_of_a_training_give_one_curve(tmp_path: Path) -> None:
+    def told(stage: str, *steps: int) -> list[dict[str, Any]]:
+        figures = {"loss": 0.1, "psnr": 20.0}
+        return [{"event": "sampled", "stage": stage, "step": s, "figures": figures} for s in steps]
+
+    done = {stage: {"event": "finished", "stage": stage, "seconds": 12.5} for stage in TRAINED}
+    assert finished.SECONDS == 12.5
+    store = Store(tmp_path / "ball.refdgs")
+    other = done["refine"] | {"seconds": 1.0}
+    first = [*told("train", 10, 200), done["train"], *told("refine", 210, 300), other]
+    finished.log(store, *first, name="1")
+    finished.log(store, *told("refine", 210, 260), name="2")  # with other settings, and killed
+    finished.log(store, *told("refine", 290, 300), done["refine"], name="3")
+    curve = facts_of(store.root, until="refine").notes.curve
+    assert [step for step, _, _ in curve] == [10, 200, 210, 260, 290, 300]
 
 
 def test_a_page_with_nothing_new_to_say_is_left_alone(whole: Facts, tmp_path: Path) -> None:

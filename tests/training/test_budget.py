@@ -1,17 +1,21 @@
 """Planning for a GPU's memory, and what happens when it runs out."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
+from finished import start
 
 from refdgs_pipe.artifacts.sparse_model import Ball, SparseModel
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.errors import DeviceError
 from refdgs_pipe.training import budget
-from refdgs_pipe.training.settings import TrainParams
+from refdgs_pipe.training.settings import StartParams, TrainParams
 
 PARAMS = TrainParams()
-LOAD = budget.Load(PARAMS)
+START = replace(start(), max_side=800, surfels=20_000, background_surfels=60_000)
+LOAD = budget.Load(PARAMS, START, growth=1.7)
 
 
 def model_of(width: int, height: int, count: int = 100) -> SparseModel:
@@ -23,7 +27,9 @@ def model_of(width: int, height: int, count: int = 100) -> SparseModel:
 
 
 def load_of(**changes: int) -> budget.Load:
-    return budget.Load(PARAMS.model_copy(update=changes))
+    caps = {name: changes.pop(name) for name in tuple(changes) if name in TrainParams.model_fields}
+    begun = replace(START, **changes)  # type: ignore[arg-type]
+    return replace(LOAD, params=PARAMS.model_copy(update=caps), start=begun)
 
 
 def test_more_pixels_and_surfels_need_more() -> None:
@@ -39,12 +45,12 @@ def test_settings_that_fit_stay_as_they_are() -> None:
 
 def test_steps_are_recorded_only_where_that_costs_nothing_else() -> None:
     model = model_of(800, 800)
-    without = budget.Load(PARAMS, cuda_graph=False)
+    without = replace(LOAD, cuda_graph=False)
     alone = budget.need_of(without, model).total
     fitting = budget.fitted(LOAD, model, alone)
     assert fitting == without
     assert budget.changes(LOAD, fitting) == "steps are not recorded"
-    insists = budget.Load(PARAMS, cuda_graph=True)
+    insists = replace(LOAD, cuda_graph=True)
     assert budget.fitted(insists, model, alone).cuda_graph is True
 
 
@@ -52,13 +58,13 @@ def test_what_takes_more_is_lowered_first() -> None:
     model = model_of(800, 800)
     many = load_of(max_surfels=2_000_000)
     fitting = budget.fitted(many, model, 3 * 10**9)
-    assert fitting.params.max_side == many.params.max_side
+    assert fitting.start.max_side == many.start.max_side
     assert fitting.params.max_surfels < 10**6
     assert budget.need_of(fitting, model).total <= 3 * 10**9
     wide = model_of(8000, 6000, 400)
     sharp = load_of(max_side=8000)
     fitting = budget.fitted(sharp, wide, 8 * 10**9)
-    assert fitting.params.max_side < 8000
+    assert fitting.start.max_side < 8000
     assert fitting.params.max_surfels == sharp.params.max_surfels
 
 
@@ -86,10 +92,10 @@ class Hungry:
     """Runs out of memory until an image is small enough."""
 
     def __init__(self, load: budget.Load) -> None:
-        self.load, self.params = load, load.params
+        self.load, self.params, self.side = load, load.params, load.start.max_side
 
     def run(self, progress: object) -> str:
-        if self.params.max_side > 600 or self.params.max_surfels > 50_000:
+        if self.side > 600 or self.params.max_surfels > 50_000:
             raise torch.cuda.OutOfMemoryError("no more")
         return "field"
 
@@ -97,7 +103,7 @@ class Hungry:
 def test_running_out_of_memory_lowers_settings_and_says_so() -> None:
     said: list[str] = []
     trainer, field = budget.train_within(Hungry, LOAD, print, said.append)  # type: ignore
-    assert field == "field" and trainer.params.max_side <= 600
+    assert field == "field" and trainer.load.start.max_side <= 600
     assert said[0].startswith("the GPU's memory ran out: training at 578 instead of 800 pixels, ")
     assert trainer.load.cuda_graph is False
     assert "instead of 60000 surfels" in said[1]
@@ -110,3 +116,21 @@ def test_running_out_for_good_is_an_error() -> None:
 
     with pytest.raises(DeviceError, match="runs out even at"):
         budget.train_within(Starving, LOAD, print, lambda text: None)  # type: ignore
+
+
+def test_a_first_look_that_runs_out_of_memory_is_at_smaller_pictures() -> None:
+    said: list[str] = []
+
+    def look(params: StartParams) -> float:
+        if params.look_scale > 0.4:
+            raise torch.cuda.OutOfMemoryError("no more")
+        return params.look_scale
+
+    assert 0.3 < budget.start_within(look, StartParams(), said.append) <= 0.4
+    assert said[0].endswith("the first look is at 0.42 of the photos' size") and len(said) == 2
+
+
+def test_a_start_has_no_more_surfels_than_there_is_memory_for() -> None:
+    smaller = budget._smaller(replace(LOAD, start=replace(START, max_side=256)), pixels=False)
+    assert smaller.params.max_surfels < PARAMS.max_surfels
+    assert smaller.start.surfels == 15_000 and smaller.start.background_surfels == 45_000

@@ -11,6 +11,7 @@ import torch
 from emulation import emulated
 from torch import Tensor
 from training.test_trainer import SMALL, capture, quiet
+from training_runs import trainer_of
 
 from refdgs_pipe.ops import Plan, Readback, cuda
 from refdgs_pipe.ops import plan as planning
@@ -63,9 +64,9 @@ def test_a_step_mixes_no_devices_and_waits_for_no_number(
     tmp_path: Path, changed: dict[str, Any], masked: bool
 ) -> None:
     views, model = capture(tmp_path / "views", masked=masked)
-    params = SMALL.model_copy(update={"start": "ball", **changed})
+    params = SMALL.but(**{"masked": "ball", **changed})
     with numberless_gpu():
-        trainer = Trainer(views, model, params, tmp_path, device=GPU)
+        trainer = trainer_of(views, model, params, tmp_path, device=GPU)
         assert {p.device.type for p in trainer.field.geometry.raw.values()} == {GPU}
         assert trainer.full[0].rgb.device.type == GPU
         trainer._photo = lambda fraction: trainer.full[0]  # type: ignore[method-assign]
@@ -87,16 +88,16 @@ def test_training_with_the_emulated_kernels_goes_as_on_the_cpu(tmp_path: Path) -
         "surfels": 150,
         "local_surfels": 100,
         "densify_every": 3,
-        "start": "hull",
+        "masked": "hull",
     }
-    params = SMALL.model_copy(update={**few, "reflect_from": 0.0, "local_from": 0.3})
+    params = SMALL.but(**{**few, "reflect_from": 0.0, "local_from": 0.3})
     fields = []
     for on in (False, True):
         folder = tmp_path / f"run-{on}"
         folder.mkdir()
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr("refdgs_pipe.training.trainer.REPORT_STEPS", 4)
-            trainer = Trainer(views, model, params, folder)
+            trainer = trainer_of(views, model, params, folder)
             run = partial(trainer.run, quiet)
             if on:
                 with emulated():
@@ -114,9 +115,9 @@ def test_training_with_the_emulated_kernels_goes_as_on_the_cpu(tmp_path: Path) -
 def trained(folder: Path, plan: Plan | None, steps: int, **changed: Any) -> Trainer:
     """A short training with the emulated kernels, read two steps late where there is a plan."""
     views, model = capture(folder / "views", size=20)
-    few = {"iterations": steps, "surfels": 150, "local_surfels": 100, "start": "hull"}
-    params = SMALL.model_copy(update={**few, "reflect_from": 0.0, "local_from": 0.3, **changed})
-    trainer = Trainer(views, model, params, folder)
+    few = {"iterations": steps, "surfels": 150, "local_surfels": 100, "masked": "hull"}
+    params = SMALL.but(**{**few, "reflect_from": 0.0, "local_from": 0.3, **changed})
+    trainer = trainer_of(views, model, params, folder)
     if plan is not None:
         trainer.plan, trainer._later = plan, Readback("cpu", lag=2)
     with emulated():
@@ -167,7 +168,7 @@ def test_a_step_whose_lists_have_no_room_changes_nothing_and_is_done_again(
 @pytest.mark.parametrize("masked", [False, True])
 def test_photos_shrink_on_the_gpu_as_on_the_cpu(tmp_path: Path, masked: bool) -> None:
     views, model = capture(tmp_path / "views", masked=masked)
-    trainer = Trainer(views, model, SMALL, tmp_path)
+    trainer = trainer_of(views, model, SMALL, tmp_path)
     for width in (20, 32, 50):
         wanted = shrunk(trainer.full[0], width / 64)
         found = _shrunk_there(trainer.full[0], width, width)

@@ -6,20 +6,18 @@ from pathlib import Path
 import numpy as np
 import torch
 from training.test_trainer import SMALL, capture, quiet
+from training_runs import trainer_of
 
 from refdgs_pipe.errors import Cancelled
 from refdgs_pipe.training.photos import TrainingPhoto, load_training_photos, shrunk
-from refdgs_pipe.training.trainer import Trainer
 
-FITTED = SMALL.model_copy(
-    update={
-        "exposure": "fitted",
-        "rate_exposure": 0.02,
-        "look_steps": 0,
-        "iterations": 150,
-        "surfels": 400,
-        "background_surfels": 6000,
-    }
+FITTED = SMALL.but(
+    exposure="fitted",
+    rate_exposure=0.02,
+    look_steps=0,
+    iterations=150,
+    surfels=400,
+    background_surfels=6000,
 )
 DARK = (2, 5, 9)
 
@@ -34,9 +32,9 @@ def some_darker(photos: list[TrainingPhoto]) -> list[TrainingPhoto]:
 def factors(folder: Path, weight: float) -> np.ndarray:
     views, model = capture(folder / "views", masked=False, size=32)
     photos = some_darker(load_training_photos(views, model, max_side=32, near=0.02))
-    params = FITTED.model_copy(update={"exposure_weight": weight})
+    params = FITTED.but(exposure_weight=weight)
     (folder / "run").mkdir()
-    trainer = Trainer(views, model, params, folder / "run", photos=photos)
+    trainer = trainer_of(views, model, params, folder / "run", photos=photos)
     trainer.run(quiet)
     assert trainer.field.exposures is not None
     return np.exp(trainer.field.exposures.logs.detach().numpy())
@@ -55,7 +53,7 @@ def test_a_large_weight_holds_the_factors_at_one(tmp_path: Path) -> None:
 
 def test_factors_survive_an_interruption(tmp_path: Path) -> None:
     views, model = capture(tmp_path / "views", masked=False, size=32)
-    params = FITTED.model_copy(update={"iterations": 20})
+    params = FITTED.but(iterations=20)
     for name in "ab":
         (tmp_path / name).mkdir()
 
@@ -63,12 +61,12 @@ def test_factors_survive_an_interruption(tmp_path: Path) -> None:
         if done == 10:
             raise Cancelled("enough")
 
-    trainers = [Trainer(views, model, params, tmp_path / name) for name in "ab"]
+    trainers = [trainer_of(views, model, params, tmp_path / name) for name in "ab"]
     trainers[0].run(quiet)
     try:
         trainers[1].run(stop)
     except Cancelled:
-        trainers[1] = Trainer(views, model, params, tmp_path / "b")
+        trainers[1] = trainer_of(views, model, params, tmp_path / "b")
         trainers[1].run(quiet)
     whole, resumed = (t.field.exposures for t in trainers)
     assert whole is not None and resumed is not None and whole.logs.abs().max() > 0
@@ -79,7 +77,7 @@ def test_a_photo_keeps_its_place_when_it_shrinks_and_with_masks_there_are_no_fac
     tmp_path: Path,
 ) -> None:
     views, model = capture(tmp_path / "views", size=32)
-    trainer = Trainer(views, model, FITTED, tmp_path)
+    trainer = trainer_of(views, model, FITTED, tmp_path)
     assert trainer.field.exposures is None
     photo = replace(trainer.full[0], which=torch.tensor([0.0, 1.0]))
     assert shrunk(photo, 0.5).which is photo.which

@@ -10,18 +10,18 @@ from finished import field
 from safetensors.torch import load_file, save_file
 from scenes import glossy_pair, orbit
 from training.test_trainer import SMALL, capture, model_of, quiet
+from training_runs import trainer_of
 
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.surfel_field import SurfelField, SurfelSet
 from refdgs_pipe.errors import Cancelled
 from refdgs_pipe.training.ground import Surroundings, ground_below, left_to_background
-from refdgs_pipe.training.look import Look, look
+from refdgs_pipe.training.look import limited, look
 from refdgs_pipe.training.losses import out_of_place
 from refdgs_pipe.training.photos import load_training_photos, shrunk
 from refdgs_pipe.training.step import NEAR
-from refdgs_pipe.training.trainer import Trainer
 
-LOOKING = SMALL.model_copy(update={"look_steps": 120, "coarse": 1.0})
+LOOKING = SMALL.but(look_steps=120, look_scale=1.0, coarse=1.0)
 RADIUS = 1.6
 
 
@@ -88,14 +88,14 @@ def surfels(means: np.ndarray) -> SurfelSet:
 def test_surfels_start_where_the_look_found_the_object(tmp_path: Path) -> None:
     views, model = capture(tmp_path / "views", masked=False)
     photos = load_training_photos(views, model, max_side=64, near=NEAR)
-    params = LOOKING.model_copy(update={"look_steps": 1, "start": "hull"})
-    look(params, model, photos, tmp_path, near=NEAR)
+    params = LOOKING.but(look_steps=1, masked="hull")
+    look(params.start, model, photos, tmp_path, near=NEAR)
     kept = {name: t.clone() for name, t in load_file(tmp_path / "look.safetensors").items()}
     for i, photo in enumerate(photos):
         alpha = glossy_pair().surface_map(photo.camera).alpha
         kept[f"mask {i}"] = torch.from_numpy(np.round(alpha * 255).astype(np.uint8))
     save_file(kept, tmp_path / "look.safetensors")
-    trainer = Trainer(views, model, params, tmp_path)
+    trainer = trainer_of(views, model, params, tmp_path)
     assert trainer.full[0].mask is None  # a mask that was found is not a mask that is kept to
     seen = trainer.field.geometry.raw["means"].detach().double().numpy()
     uv, _ = photos[0].camera.project(seen)
@@ -107,14 +107,13 @@ def test_surfels_start_where_the_look_found_the_object(tmp_path: Path) -> None:
 def test_what_was_found_is_not_looked_for_again(tmp_path: Path) -> None:
     views, model = capture(tmp_path / "views", masked=False)
     photos = load_training_photos(views, model, max_side=64, near=NEAR)
-    params = LOOKING.model_copy(update={"look_steps": 5})
-    first = look(params, model, photos, tmp_path, near=NEAR)
+    params = LOOKING.but(look_steps=5)
+    first = look(params.start, model, photos, tmp_path, near=NEAR)
 
     def never(done: int, total: int) -> None:
         raise AssertionError("it looked again")
 
-    again = look(params, model, photos, tmp_path, near=NEAR, progress=never)
-    assert first.background is not None and again.background is not None
+    again = look(params.start, model, photos, tmp_path, near=NEAR, progress=never)
     torch.testing.assert_close(first.background["sh"], again.background["sh"], rtol=0, atol=0)
     for a, b in zip(first.photos, again.photos, strict=True):
         assert a.mask is not None and b.mask is not None
@@ -123,11 +122,11 @@ def test_what_was_found_is_not_looked_for_again(tmp_path: Path) -> None:
 
 def test_a_run_without_masks_ends_alike_wherever_it_was_stopped(tmp_path: Path) -> None:
     views, model = capture(tmp_path / "views", masked=False, size=32)
-    small = {"look_steps": 20, "iterations": 20, "volume_steps": 0, "start": "hull"}
-    params = LOOKING.model_copy(update=small)
+    small = {"look_steps": 20, "iterations": 20, "volume_steps": 0, "masked": "hull"}
+    params = LOOKING.but(**small)
     for name in "ab":
         (tmp_path / name).mkdir()
-    whole = Trainer(views, model, params, tmp_path / "a").run(quiet)
+    whole = trainer_of(views, model, params, tmp_path / "a").run(quiet)
 
     def stop_looking(done: int, total: int) -> None:
         if done == 10:
@@ -138,31 +137,31 @@ def test_a_run_without_masks_ends_alike_wherever_it_was_stopped(tmp_path: Path) 
             raise Cancelled("enough")
 
     with pytest.raises(Cancelled):
-        Trainer(views, model, params, tmp_path / "b", starting=stop_looking)
+        trainer_of(views, model, params, tmp_path / "b", starting=stop_looking)
     with pytest.raises(Cancelled):
-        Trainer(views, model, params, tmp_path / "b").run(stop_training)
-    resumed = Trainer(views, model, params, tmp_path / "b").run(quiet)
+        trainer_of(views, model, params, tmp_path / "b").run(stop_training)
+    resumed = trainer_of(views, model, params, tmp_path / "b").run(quiet)
     np.testing.assert_array_equal(whole.geometry.means, resumed.geometry.means)
     np.testing.assert_array_equal(whole.background.means, resumed.background.means)
 
 
 def test_masks_that_are_there_are_not_looked_for(tmp_path: Path) -> None:
     views, model = capture(tmp_path / "views")
-    Trainer(views, model, LOOKING, tmp_path)
+    trainer_of(views, model, LOOKING, tmp_path)
     assert not list(tmp_path.glob("look*"))
 
 
 def test_a_look_that_finds_nothing_forbids_nothing(tmp_path: Path) -> None:
     views, model = capture(tmp_path / "views", masked=False, size=32)
-    params = LOOKING.model_copy(update={"look_steps": 1})
+    params = LOOKING.but(look_steps=1)
     photos = load_training_photos(views, model, max_side=32, near=NEAR)
-    look(params, model, photos, tmp_path, near=NEAR)
+    look(params.start, model, photos, tmp_path, near=NEAR)
     kept = {name: t.clone() for name, t in load_file(tmp_path / "look.safetensors").items()}
     kept |= {name: torch.zeros_like(t) for name, t in kept.items() if name.startswith("mask")}
     save_file(kept, tmp_path / "look.safetensors")
-    found = look(params, model, photos, tmp_path, near=NEAR)
+    found = look(params.start, model, photos, tmp_path, near=NEAR)
     assert all(photo.mask is None for photo in found.photos)
-    assert all(photo.beyond is None for photo in found.limited)
+    assert all(photo.beyond is None for photo in limited(found.photos))
 
 
 def test_only_what_lies_beyond_the_object_costs() -> None:
@@ -180,7 +179,7 @@ def test_a_look_says_where_nothing_of_the_object_is_near(tmp_path: Path) -> None
     (photo, *_) = load_training_photos(views, model, max_side=64, near=NEAR)
     mask = torch.zeros(64, 64, dtype=torch.uint8)
     mask[20:40, 20:40] = 255
-    (seen,) = Look([replace(photo, mask=mask)], None).limited
+    (seen,) = limited([replace(photo, mask=mask)])
     assert seen.mask is None and seen.beyond is not None
     assert not seen.beyond[19:41, 19:41].any()
     assert seen.beyond[:18].all() and seen.beyond[:, 42:].all()

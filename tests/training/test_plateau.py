@@ -7,22 +7,20 @@ import numpy as np
 import pytest
 import torch
 from training.test_trainer import SMALL, capture, quiet
+from training_runs import trainer_of
 
 from refdgs_pipe.errors import Cancelled
 from refdgs_pipe.training.photos import TrainingPhoto, load_training_photos, shrunk
 from refdgs_pipe.training.plateau import Plateau, hold_out
-from refdgs_pipe.training.trainer import Trainer
 
 # no gain is ever large enough, so that the first look after the wait ends it
-HOPELESS = SMALL.model_copy(
-    update={
-        "iterations": 120,
-        "coarse_until": 0.1,
-        "reflect_from": 0.0,
-        "local_from": 0.1,
-        "patience": 0.1,
-        "patience_tolerance": 10.0,
-    }
+HOPELESS = SMALL.but(
+    iterations=120,
+    coarse_until=0.1,
+    reflect_from=0.0,
+    local_from=0.1,
+    patience=0.1,
+    patience_tolerance=10.0,
 )
 
 
@@ -60,10 +58,8 @@ def test_a_photo_without_room_holds_nothing_out(tmp_path: Path) -> None:
 
 def test_a_plateau_is_no_gain_above_the_tolerance_for_long_enough(tmp_path: Path) -> None:
     photos = hold_out(photos_of(tmp_path / "views")[:2], 0)
-    params = HOPELESS.model_copy(
-        update={"patience": 0.1, "patience_tolerance": 0.5, "anneal_from": 0.9, "coarse": 1.0}
-    )
-    watch = Plateau(params, photos, reflect_from=0.2)
+    params = HOPELESS.but(patience=0.1, patience_tolerance=0.5, anneal_from=0.9, coarse=1.0)
+    watch = Plateau(params.train, photos, reflect_from=0.2)
     first, second = (photo.camera.name for photo in photos)
 
     def both(error: float, fraction: float) -> bool:
@@ -84,24 +80,26 @@ def test_a_plateau_is_no_gain_above_the_tolerance_for_long_enough(tmp_path: Path
 def test_a_run_that_gains_nothing_goes_on_at_its_annealing(tmp_path: Path) -> None:
     views, model = capture(tmp_path / "views")
     told: list[tuple[int, int, float]] = []
-    trainer = Trainer(views, model, HOPELESS, tmp_path)
+    trainer = trainer_of(views, model, HOPELESS, tmp_path)
     trainer.run(lambda done, total, now, work: told.append((done, total, work)))
-    assert 0 < trainer.skipped < 0.5 * HOPELESS.iterations
-    assert trainer.iteration == HOPELESS.iterations - trainer.skipped
+    assert 0 < trainer.skipped < 0.5 * HOPELESS.train.iterations
+    assert trainer.iteration == HOPELESS.train.iterations - trainer.skipped
     assert told[-1] == (trainer.iteration, trainer.iteration, pytest.approx(1))
     shares = [work for _, _, work in told]
     assert shares == sorted(shares)
-    tail = HOPELESS.iterations - round(HOPELESS.anneal_from * HOPELESS.iterations)
-    assert sum(total < HOPELESS.iterations for _, total, _ in told) >= tail // 10
+    tail = HOPELESS.train.iterations - round(HOPELESS.train.anneal_from * HOPELESS.train.iterations)
+    assert sum(total < HOPELESS.train.iterations for _, total, _ in told) >= tail // 10
     rates = {g["name"]: g["lr"] for g in trainer.field.geometry.optimizer.param_groups}
-    assert rates["raw_opacities"] < 0.06 * HOPELESS.rate_opacities  # it was annealed to the end
+    assert (
+        rates["raw_opacities"] < 0.06 * HOPELESS.train.rate_opacities
+    )  # it was annealed to the end
     assert trainer.early is not None and f"{trainer.skipped} of 120 steps left out" in trainer.early
 
 
 def test_without_patience_nothing_is_held_out(tmp_path: Path) -> None:
     views, model = capture(tmp_path / "views")
-    params = HOPELESS.model_copy(update={"patience": 0.0, "iterations": 20})
-    trainer = Trainer(views, model, params, tmp_path)
+    params = HOPELESS.but(patience=0.0, iterations=20)
+    trainer = trainer_of(views, model, params, tmp_path)
     assert all(photo.held is None and photo.valid is None for photo in trainer.full)
     trainer.run(quiet)
     assert trainer.iteration == 20 and trainer.early is None
@@ -114,7 +112,7 @@ def test_an_interruption_before_or_after_the_jump_changes_nothing(
     views, model = capture(tmp_path / "views")
     for name in "ab":
         (tmp_path / name).mkdir()
-    whole = Trainer(views, model, HOPELESS, tmp_path / "a")
+    whole = trainer_of(views, model, HOPELESS, tmp_path / "a")
     expected = whole.run(quiet)
 
     def interrupt(done: int, total: int, now: object, work: float) -> None:
@@ -122,8 +120,8 @@ def test_an_interruption_before_or_after_the_jump_changes_nothing(
             raise Cancelled("enough")
 
     with pytest.raises(Cancelled):
-        Trainer(views, model, HOPELESS, tmp_path / "b").run(interrupt)
-    resumed = Trainer(views, model, HOPELESS, tmp_path / "b")
+        trainer_of(views, model, HOPELESS, tmp_path / "b").run(interrupt)
+    resumed = trainer_of(views, model, HOPELESS, tmp_path / "b")
     found = resumed.run(quiet)
     assert (resumed.skipped, resumed.early) == (whole.skipped, whole.early)
     for name in ("means", "quats", "scales", "opacities"):

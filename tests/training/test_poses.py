@@ -9,6 +9,7 @@ import torch
 from emulation import emulated
 from scipy.spatial.transform import Rotation
 from training.test_trainer import SMALL, capture, quiet
+from training_runs import trainer_of
 
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.surfel_field import SurfelField
@@ -16,11 +17,8 @@ from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.errors import Cancelled, TrainingError
 from refdgs_pipe.training.poses import Poses
-from refdgs_pipe.training.trainer import Trainer
 
-REFINED = SMALL.model_copy(
-    update={"poses": "refined", "iterations": 360, "rate_poses": 5e-3, "pose_weight": 0.1}
-)
+REFINED = SMALL.but(poses="refined", iterations=360, rate_poses=5e-3, pose_weight=0.1)
 OFF = 0.02  # radians, and camera distances
 
 
@@ -66,7 +64,7 @@ def misses(field: SurfelField, given: SparseModel, truth: SparseModel) -> float:
 def test_disturbed_poses_are_put_right(tmp_path: Path) -> None:
     views, truth = found(tmp_path / "views")
     given = disturbed(truth)
-    field = Trainer(views, given, REFINED, tmp_path).run(quiet)
+    field = trainer_of(views, given, REFINED, tmp_path).run(quiet)
     before = misses(replace(field, poses={}), given, truth)
     assert before > 0.8
     assert misses(field, given, truth) < 0.65 * before  # it is 0.51
@@ -74,8 +72,8 @@ def test_disturbed_poses_are_put_right(tmp_path: Path) -> None:
 
 def test_a_large_weight_holds_the_poses(tmp_path: Path) -> None:
     views, truth = found(tmp_path / "views", size=32)
-    params = REFINED.model_copy(update={"pose_weight": 1e4, "iterations": 60})
-    field = Trainer(views, disturbed(truth), params, tmp_path).run(quiet)
+    params = REFINED.but(pose_weight=1e4, iterations=60)
+    field = trainer_of(views, disturbed(truth), params, tmp_path).run(quiet)
     given = disturbed(truth)
     assert misses(field, given, given) < 0.1
 
@@ -117,7 +115,7 @@ def test_a_pose_is_turned_about_the_balls_center(tmp_path: Path) -> None:
 
 def test_refined_poses_survive_an_interruption(tmp_path: Path) -> None:
     views, model = found(tmp_path / "views", size=32)
-    params = REFINED.model_copy(update={"iterations": 30})
+    params = REFINED.but(iterations=30)
     for name in "ab":
         (tmp_path / name).mkdir()
 
@@ -125,10 +123,10 @@ def test_refined_poses_survive_an_interruption(tmp_path: Path) -> None:
         if done == 20:
             raise Cancelled("enough")
 
-    whole = Trainer(views, model, params, tmp_path / "a").run(quiet)
+    whole = trainer_of(views, model, params, tmp_path / "a").run(quiet)
     with pytest.raises(Cancelled):
-        Trainer(views, model, params, tmp_path / "b").run(stop)
-    resumed = Trainer(views, model, params, tmp_path / "b").run(quiet)
+        trainer_of(views, model, params, tmp_path / "b").run(stop)
+    resumed = trainer_of(views, model, params, tmp_path / "b").run(quiet)
     assert whole.poses.keys() == resumed.poses.keys() == {c.name for c in model.cameras}
     for name, pose in whole.poses.items():
         assert np.array_equal(pose, resumed.poses[name])
@@ -137,12 +135,12 @@ def test_refined_poses_survive_an_interruption(tmp_path: Path) -> None:
 
 def test_the_emulated_kernels_give_the_poses_the_same_gradients(tmp_path: Path) -> None:
     views, model = found(tmp_path / "views", size=20)
-    few = {"surfels": 150, "local_surfels": 100, "start": "hull", "iterations": 8}
-    params = REFINED.model_copy(update=few)
+    few = {"surfels": 150, "local_surfels": 100, "masked": "hull", "iterations": 8}
+    params = REFINED.but(**few)
     (tmp_path / "cpu").mkdir()
-    there = Trainer(views, model, params, tmp_path / "cpu").run(quiet).poses
+    there = trainer_of(views, model, params, tmp_path / "cpu").run(quiet).poses
     with emulated():
-        here = Trainer(views, model, params, tmp_path).run(quiet).poses
+        here = trainer_of(views, model, params, tmp_path).run(quiet).poses
     moves = [np.abs(there[c.name] - c.cam_from_world).max() for c in model.cameras]
     assert max(moves) > 1e-3
     for name, pose in there.items():
@@ -151,16 +149,16 @@ def test_the_emulated_kernels_give_the_poses_the_same_gradients(tmp_path: Path) 
 
 def test_known_poses_are_not_refined_and_recorded_steps_not_asked_for(tmp_path: Path) -> None:
     views, model = capture(tmp_path / "known", size=32)
-    assert Trainer(views, model, REFINED, tmp_path).field.poses is None
+    assert trainer_of(views, model, REFINED, tmp_path).field.poses is None
     views, model = found(tmp_path / "found", size=32)
     with pytest.raises(TrainingError, match="cannot be recorded"):
-        Trainer(views, model, REFINED, tmp_path, cuda_graph=True)
+        trainer_of(views, model, REFINED, tmp_path, cuda_graph=True)
 
 
 def test_a_field_keeps_its_poses_and_a_model_takes_them(tmp_path: Path) -> None:
     views, model = found(tmp_path / "views", size=32)
-    params = REFINED.model_copy(update={"iterations": 1})
-    field = Trainer(views, model, params, tmp_path).run(quiet)
+    params = REFINED.but(iterations=1)
+    field = trainer_of(views, model, params, tmp_path).run(quiet)
     first, second = model.cameras[:2]
     field = replace(field, poses={first.name: moved(first, np.full(6, 0.1)).cam_from_world})
     field.save(tmp_path)

@@ -10,6 +10,7 @@ import torch
 from emulation import emulated
 from torch import Tensor
 from training.test_trainer import SMALL, capture
+from training_runs import trainer_of
 
 from refdgs_pipe.errors import TrainingError
 from refdgs_pipe.ops import Plan, Readback, addresses
@@ -24,14 +25,14 @@ SHORT = {
     "surfels": 100,
     "local_surfels": 60,
     "densify_every": 5,
-    "start": "ball",
+    "masked": "ball",
     "reflect_from": 0.0,
     "local_from": 0.0,
     "specular_from": 0.4,
 }
 
 
-BRIEF = {"iterations": 4, "surfels": 60, "start": "ball"}  # the third step is recorded
+BRIEF = {"iterations": 4, "surfels": 60, "masked": "ball"}  # the third step is recorded
 
 
 class Tape:
@@ -78,21 +79,21 @@ def trained(
     *,
     tape: Callable[[Trainer], Tape] | None = Tape,
     change: Callable[[Trainer], None] | None = None,
-    masked: bool = True,
+    has_masks: bool = True,
     insists: bool = False,
     **settings: Any,
 ) -> tuple[Trainer, Tape | None, list[str]]:
     """A short training with the emulated kernels and planned lists, and what it warned of."""
-    views, model = capture(folder / "views", size=20, masked=masked)
-    params = SMALL.model_copy(update={**SHORT, **settings})
-    trainer, warnings = Trainer(views, model, params, folder), list[str]()
+    views, model = capture(folder / "views", size=20, masked=has_masks)
+    params = SMALL.but(**{**SHORT, **settings})
+    trainer, warnings = trainer_of(views, model, params, folder), list[str]()
     trainer.plan, trainer._later = Plan("cpu"), Readback("cpu", lag=2)
     made = None if tape is None else tape(trainer)
     trainer.steps = RecordedSteps(trainer.field, made, insists=insists, warn=warnings.append)
     if change is not None:
         change(trainer)
     with emulated():
-        for _ in range(params.iterations):
+        for _ in range(params.train.iterations):
             trainer.step()
         trainer._read(all_of_them=True)
     return trainer, made, warnings
@@ -116,8 +117,8 @@ def soon(monkeypatch: pytest.MonkeyPatch) -> None:
 )
 def test_replayed_steps_are_steps(tmp_path: Path, settings: dict[str, Any], masked: bool) -> None:
     """Every photo, rate and backdrop reaches them; densification has them recorded anew."""
-    with_tape, tape, warnings = trained(tmp_path / "a", masked=masked, **settings)
-    without, *_ = trained(tmp_path / "b", tape=None, masked=masked, **settings)
+    with_tape, tape, warnings = trained(tmp_path / "a", has_masks=masked, **settings)
+    without, *_ = trained(tmp_path / "b", tape=None, has_masks=masked, **settings)
     assert_same(with_tape, without)
     assert not warnings and tape is not None
     assert tape.records == 2 or not masked
@@ -265,6 +266,6 @@ def test_a_step_leaves_nothing_of_its_gradients_graph(
         monkeypatch.setattr(step, "_loss", marking)
 
     short = {"iterations": 2, "surfels": 60}
-    trainer, *_ = trained(tmp_path, tape=None, change=mark, masked=False, **short)
+    trainer, *_ = trained(tmp_path, tape=None, change=mark, has_masks=False, **short)
     assert any(marked[0]) and len(marked) == 2  # those that the step uses were the same in it
     assert not any(nodes(trainer))

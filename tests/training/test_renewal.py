@@ -8,16 +8,17 @@ import torch
 from scipy.spatial import ConvexHull
 from solids import cube_corners, joined, sphere
 from training.test_trainer import SMALL, capture, quiet
+from training_runs import Settings, refiner_of, trained, trainer_of
 
 from refdgs_pipe.artifacts.mesh import TriangleMesh
 from refdgs_pipe.artifacts.surfel_field import SurfelField
 from refdgs_pipe.errors import Cancelled, MeshError
-from refdgs_pipe.training.renewal import TURNING, discs_on, renewed
+from refdgs_pipe.training.figures import Progress
+from refdgs_pipe.training.renewal import discs_on, renewed
 from refdgs_pipe.training.surfels import TrainableSet, raw_diffuse_of
-from refdgs_pipe.training.trainer import Trainer
 
 BALL = sphere(24)
-HALFWAY = SMALL.model_copy(update={"renew_at": 0.5, "iterations": 20})
+HALFWAY = SMALL.but(renew_at=0.5, iterations=20)
 
 
 @pytest.fixture(autouse=True)
@@ -83,19 +84,19 @@ class Surface:
 def test_a_run_starts_anew_once_and_goes_on(tmp_path: Path) -> None:
     views, model = capture(tmp_path / "views")
     surface = Surface()
-    trainer = Trainer(views, model, HALFWAY, tmp_path, surface=surface)
-    counts = []
-    while trainer.iteration < 20:
-        trainer.step()
-        counts.append(len(trainer.field.geometry))
-    assert surface.asked == 1
-    assert counts[10] == round(HALFWAY.renew_surfels * counts[9]) <= HALFWAY.most_surfels
-    assert np.isfinite(trainer.loss)
-    rates = {g["name"]: g["lr"] for g in trainer.field.geometry.optimizer.param_groups}
-    plain = Trainer(views, model, HALFWAY, tmp_path)
-    plain.field.set_rates(19 / 20)
-    unchanged = {g["name"]: g["lr"] for g in plain.field.geometry.optimizer.param_groups}
-    assert rates["quats"] == pytest.approx(TURNING * unchanged["quats"])
+    first = trainer_of(views, model, HALFWAY, tmp_path / "first")
+    first.run(quiet)
+    assert first.iteration == 10
+    second = refiner_of(first, views, model, HALFWAY, tmp_path / "second", surface)
+    second.run(quiet)
+    assert surface.asked == 1 and second.iteration == 20
+    before, after = len(first.field.geometry), len(second.field.geometry)
+    assert after == round(HALFWAY.refine.surfels * before)
+    assert np.isfinite(second.loss)
+    rates = {g["name"]: g["lr"] for g in second.field.geometry.optimizer.param_groups}
+    first.field.set_rates(19 / 20)
+    unchanged = {g["name"]: g["lr"] for g in first.field.geometry.optimizer.param_groups}
+    assert rates["quats"] == pytest.approx(HALFWAY.refine.turning * unchanged["quats"])
     assert rates["means"] == pytest.approx(unchanged["means"])
 
 
@@ -103,43 +104,43 @@ def test_no_surface_is_a_warning_and_one_is_never(tmp_path: Path) -> None:
     views, model = capture(tmp_path / "views")
     said: list[str] = []
     surface = Surface(MeshError("nothing was fused"))
-    field = Trainer(views, model, HALFWAY, tmp_path, warn=said.append, surface=surface).run(quiet)
+
+    def run(name: str, settings: Settings, surface: Surface) -> SurfelField:
+        return trained(views, model, settings, tmp_path / name, surface=surface, warn=said.append)
+
+    field = run("none", HALFWAY, surface)
     assert len(field.geometry) and surface.asked == 1
     assert said == ["surfels did not start anew, and normals are as they were: nothing was fused"]
     half = Surface(whole=False)
-    (tmp_path / "half").mkdir()
-    Trainer(views, model, HALFWAY, tmp_path / "half", warn=said.append, surface=half).run(quiet)
+    run("half", HALFWAY, half)
     assert half.asked == 1 and "shows only" in said[1]
-    never = HALFWAY.model_copy(update={"renew_at": 1.0})
-    (tmp_path / "never").mkdir()
-    Trainer(views, model, never, tmp_path / "never", surface=surface).run(quiet)
-    assert surface.asked == 1
+    run("never", HALFWAY.but(renew_at=1.0), surface)
+    assert surface.asked == 1 and len(said) == 2
+    run("short", HALFWAY.but(iterations=1), surface)
+    assert surface.asked == 1 and said[2].endswith("the run ended before (train.renew_at)")
 
 
-@pytest.mark.parametrize("stop", [10, 14])
-def test_an_interrupted_run_ends_as_one_that_was_not(tmp_path: Path, stop: int) -> None:
-    """Stopped while the mesh is made (10) and afterwards (14)."""
+@pytest.mark.parametrize("stop", [10, 14, 20])
+def test_an_interrupted_run_ends_as_one_that_was_not(
+    tmp_path: Path, stop: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Stopped as the first part ends (10), in the second one, and at its end."""
     views, model = capture(tmp_path / "views")
 
-    def run(name: str, *fails: Exception | None) -> SurfelField:
-        """As often as it takes: each time the surface fails so, or the watcher stops it."""
-        (tmp_path / name).mkdir()
-        for number, fail in enumerate((*fails, None)):
+    def watch(done: int, total: int, now: object, work: float) -> None:
+        if done >= stop:
+            raise Cancelled("stopped")
 
-            def watch(done: int, total: int, now: object, work: float, last: int = number) -> None:
-                if last < len(fails) and done >= stop:
-                    raise Cancelled("stopped")
+    def run(name: str, progress: Progress) -> SurfelField:
+        surface = Surface()
+        return trained(views, model, HALFWAY, tmp_path / name, surface=surface, progress=progress)
 
-            surface = Surface(fail)
-            trainer = Trainer(views, model, HALFWAY, tmp_path / name, surface=surface)
-            try:
-                found = trainer.run(watch)
-            except Cancelled:
-                continue
-            return found
-        raise AssertionError("it never ended")
-
-    failure = Cancelled("stopped") if stop == 10 else None
-    whole, parts = run("whole"), run("parts", failure)
-    np.testing.assert_array_equal(whole.geometry.means, parts.geometry.means)
-    np.testing.assert_array_equal(whole.geometry.quats, parts.geometry.quats)
+    monkeypatch.setattr("refdgs_pipe.training.trainer.REPORT_STEPS", 2)
+    whole = run("whole", quiet)
+    with pytest.raises(Cancelled):
+        run("parts", watch)
+    parts = run("parts", quiet)
+    for name in ("means", "quats", "opacities"):
+        ours, theirs = getattr(whole.geometry, name), getattr(parts.geometry, name)
+        np.testing.assert_array_equal(ours, theirs)
+    np.testing.assert_array_equal(whole.shader.environment, parts.shader.environment)

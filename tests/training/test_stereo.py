@@ -101,11 +101,11 @@ def test_photos_from_one_side_start_there_and_what_was_found_is_kept(
     one_side: tuple[list[TrainingPhoto], SparseModel], tmp_path: Path
 ) -> None:
     photos, model = one_side
-    cloud = agreed_cloud(SMALL, model, photos, tmp_path)
+    cloud = agreed_cloud(SMALL.start, model, photos, tmp_path)
     assert cloud is not None
     assert np.median(slab().distance(cloud.points)) < 0.01
     told: list[int] = []
-    again = agreed_cloud(SMALL, model, photos, tmp_path, lambda done, _: told.append(done))
+    again = agreed_cloud(SMALL.start, model, photos, tmp_path, lambda done, _: told.append(done))
     assert again is not None
     assert told == []  # read from the scratch folder
     np.testing.assert_array_equal(cloud.points, again.points)
@@ -113,12 +113,12 @@ def test_photos_from_one_side_start_there_and_what_was_found_is_kept(
 
 def test_the_object_is_looked_for_where_photos_go_round_it_or_show_nothing(tmp_path: Path) -> None:
     round_it, model = photos_of(slab(), np.arange(0, 360, 30))
-    assert agreed_cloud(SMALL, model, round_it, tmp_path / "round") is None
+    assert agreed_cloud(SMALL.start, model, round_it, tmp_path / "round") is None
     plain, model = photos_of(slab(constant(0.4, 0.4, 0.4)), np.linspace(-40, 40, 5))
     (tmp_path / "plain").mkdir()
-    assert agreed_cloud(SMALL, model, plain, tmp_path / "plain") is None
-    asked = SMALL.model_copy(update={"unmasked": "look"})
-    assert agreed_cloud(asked, model, plain, tmp_path / "look") is None
+    assert agreed_cloud(SMALL.start, model, plain, tmp_path / "plain") is None
+    asked = SMALL.but(unmasked="look")
+    assert agreed_cloud(asked.start, model, plain, tmp_path / "look") is None
 
 
 def test_the_comparison_can_be_stopped_and_leaves_nothing_half_done(
@@ -131,5 +131,5 @@ def test_the_comparison_can_be_stopped_and_leaves_nothing_half_done(
             raise Cancelled("stopped")
 
     with pytest.raises(Cancelled):
-        agreed_cloud(SMALL, model, photos, tmp_path, stop)
+        agreed_cloud(SMALL.start, model, photos, tmp_path, stop)
     assert list(tmp_path.iterdir()) == []

@@ -13,6 +13,7 @@ from finished import field
 from PIL import Image
 from scenes import glossy_pair, orbit
 from stage_runs import NO_MASKS
+from training_runs import Settings, trainer_of
 
 from refdgs_pipe.artifacts.sparse_model import Ball, SparseModel
 from refdgs_pipe.artifacts.surfel_field import SurfelField, SurfelSet
@@ -25,23 +26,24 @@ from refdgs_pipe.ops.definition.shade import depth_normals, srgb_of
 from refdgs_pipe.pipeline.events import Event, Progress, Sampled
 from refdgs_pipe.pipeline.stage import Job
 from refdgs_pipe.training import initial
+from refdgs_pipe.training.begin import begin
 from refdgs_pipe.training.checkpoint import NAME, read_checkpoint, write_checkpoint
 from refdgs_pipe.training.losses import mirrored
 from refdgs_pipe.training.render import render_image, render_surface_map
-from refdgs_pipe.training.settings import TrainParams
 from refdgs_pipe.training.surfels import DensityRules, TrainableSet, densify
-from refdgs_pipe.training.trainer import Trainer
 
-SMALL = TrainParams(
-    volume_steps=10,
-    look_steps=0,
-    iterations=60,
-    surfels=1500,
-    max_surfels=2500,
-    local_surfels=400,
-    max_local_surfels=600,
-    environment_height=16,
-    densify_every=20,
+SMALL = Settings.of(
+    {
+        "start": {"volume_steps": 10, "look_steps": 0, "surfels": 1500, "local_surfels": 400},
+        "train": {
+            "iterations": 60,
+            "max_surfels": 2500,
+            "max_local_surfels": 600,
+            "environment_height": 16,
+            "densify_every": 20,
+            "renew_at": 1.0,
+        },
+    }
 )
 
 
@@ -117,8 +119,8 @@ def test_training_improves_the_picture_and_the_normals(tmp_path: Path) -> None:
     figures = []
     for steps in (1, 400):
         (tmp_path / str(steps)).mkdir()
-        params = SMALL.model_copy(update={"iterations": steps})
-        field = Trainer(views, model, params, tmp_path / str(steps)).run(quiet)
+        params = SMALL.but(iterations=steps)
+        field = trainer_of(views, model, params, tmp_path / str(steps)).run(quiet)
         error = normal_error_deg(
             render_surface_map(field, camera).normal, truth.normal, truth.alpha > 0.5
         )
@@ -126,7 +128,7 @@ def test_training_improves_the_picture_and_the_normals(tmp_path: Path) -> None:
     (before, bent), (after, straight) = figures
     assert after > before + 4
     assert straight < bent
-    trainer = Trainer(views, model, params, tmp_path)
+    trainer = trainer_of(views, model, params, tmp_path)
     assert trainer.coverage(field) > 0.6
     assert trainer.coverage(thinned(field, 200)) < 0.2  # an object that got lost is seen as lost
 
@@ -138,8 +140,8 @@ def test_training_improves_the_picture_and_the_normals(tmp_path: Path) -> None:
         ({"local": "shared", "mixing": "sum"}, True),
         ({"physical": False}, True),
         ({"reflection": False}, True),
-        ({"distortion_weight": 10.0, "smooth_weight": 0.1, "start": "hull"}, True),
-        ({"start": "ball"}, True),
+        ({"distortion_weight": 10.0, "smooth_weight": 0.1, "masked": "hull"}, True),
+        ({"masked": "ball"}, True),
         ({}, False),
     ],
 )
@@ -147,8 +149,8 @@ def test_every_variant_trains_and_survives_the_disk(
     tmp_path: Path, changed: dict[str, object], masked: bool
 ) -> None:
     views, model = capture(tmp_path / "views", masked=masked)
-    params = SMALL.model_copy(update={"iterations": 45, **changed})
-    trainer = Trainer(views, model, params, tmp_path)
+    params = SMALL.but(**{"iterations": 45, **changed})
+    trainer = trainer_of(views, model, params, tmp_path)
     field = trainer.run(quiet)
     assert math.isfinite(trainer.loss)
     assert (len(field.background) > 0) == (not masked)
@@ -162,16 +164,16 @@ def test_an_interrupted_run_ends_bit_for_bit_like_an_undisturbed_one(tmp_path: P
     views, model = capture(tmp_path / "views")
     (tmp_path / "a").mkdir()
     (tmp_path / "b").mkdir()
-    whole = Trainer(views, model, SMALL, tmp_path / "a").run(quiet)
+    whole = trainer_of(views, model, SMALL, tmp_path / "a").run(quiet)
 
     def stop_at_thirty(done: int, total: int, now: object, work: float) -> None:
         if done == 30:
             raise Cancelled("enough")
 
     with pytest.raises(Cancelled):
-        Trainer(views, model, SMALL, tmp_path / "b").run(stop_at_thirty)
+        trainer_of(views, model, SMALL, tmp_path / "b").run(stop_at_thirty)
     resumed_from = []
-    trainer = Trainer(views, model, SMALL, tmp_path / "b")
+    trainer = trainer_of(views, model, SMALL, tmp_path / "b")
     resumed = trainer.run(lambda done, total, now, work: resumed_from.append(done))
     assert resumed_from[0] == 40
     for name in ("means", "quats", "scales", "opacities"):
@@ -193,7 +195,7 @@ def test_a_torn_checkpoint_is_as_good_as_none(tmp_path: Path) -> None:
 
 def test_a_loss_that_is_not_finite_ends_training_and_keeps_the_checkpoint(tmp_path: Path) -> None:
     views, model = capture(tmp_path / "views")
-    trainer = Trainer(views, model, SMALL, tmp_path)
+    trainer = trainer_of(views, model, SMALL, tmp_path)
     trainer.step()
     trainer.save()
     with torch.no_grad():
@@ -212,7 +214,7 @@ def test_without_training_views_the_error_says_so(tmp_path: Path) -> None:
     )
     nothing = SparseModel(**{**vars(model), "cameras": held_out})
     with pytest.raises(TrainingError, match="no photo is left"):
-        Trainer(views, nothing, SMALL, tmp_path)
+        trainer_of(views, nothing, SMALL, tmp_path)
 
 
 def test_a_damaged_field_is_named_as_such(tmp_path: Path) -> None:
@@ -318,7 +320,9 @@ def test_the_hull_of_a_ball_seen_from_all_sides_is_the_ball() -> None:
 def test_the_work_behind_grows_to_one_and_late_steps_weigh_more(tmp_path: Path) -> None:
     views, model = capture(tmp_path / "views")
     shares: list[float] = []
-    Trainer(views, model, SMALL, tmp_path).run(lambda done, total, now, work: shares.append(work))
+    trainer_of(views, model, SMALL, tmp_path).run(
+        lambda done, total, now, work: shares.append(work)
+    )
     assert shares == sorted(shares)
     assert shares[-1] == pytest.approx(1)
     assert shares[1] - shares[0] < 0.6 * (shares[-1] - shares[-2])
@@ -338,8 +342,8 @@ def test_what_diffuse_colour_explains_is_diffuse_in_the_end(tmp_path: Path) -> N
     views, model = capture(tmp_path / "views")
     shares = []
     for weight in (0.0, 3.0):
-        params = SMALL.model_copy(update={"specular_weight": weight, "specular_from": 0.2})
-        field = Trainer(views, model, params, tmp_path / str(weight)).run(lambda *_: None)
+        params = SMALL.but(specular_weight=weight, specular_from=0.2)
+        field = trainer_of(views, model, params, tmp_path / str(weight)).run(lambda *_: None)
         seen = render_surface_map(field, model.cameras[0])
         shares.append(float(seen.specular.sum() / (seen.specular + seen.diffuse).sum()))
     assert shares[1] < 0.8 * shares[0]
@@ -349,8 +353,8 @@ def test_how_much_reflections_turn_normals_is_a_setting(tmp_path: Path) -> None:
     views, model = capture(tmp_path / "views")
     turned = []
     for share in (0.0, 1.0):
-        params = SMALL.model_copy(update={"turn_share": share, "start": "ball", "local_from": 1.0})
-        trainer = Trainer(views, model, params, tmp_path / str(share))
+        params = SMALL.but(turn_share=share, masked="ball", local_from=1.0)
+        trainer = trainer_of(views, model, params, tmp_path / str(share))
         for _ in range(3):  # the map is one grey before the first, and turns nothing
             trainer.step()
         moments = trainer.field.geometry.optimizer.state[trainer.field.geometry.raw["quats"]]
@@ -360,11 +364,12 @@ def test_how_much_reflections_turn_normals_is_a_setting(tmp_path: Path) -> None:
 
 def test_the_stage_tells_figures_as_data_and_in_words(tmp_path: Path) -> None:
     views, model = capture(tmp_path / "views", size=32)
+    few = SMALL.but(iterations=20, surfels=200, local_surfels=100)
+    begun = begin(views, model, few.start, tmp_path)
     stage, told = import_module("refdgs_pipe.stages.train").train, list[Event]()
     (tmp_path / "scratch").mkdir()
     job = Job("train", tmp_path, tmp_path / "scratch", "cpu", 1, told.append)
-    few = {"iterations": 20, "surfels": 200, "local_surfels": 100, "renew_at": 1.0}
-    stage.run(views, NO_MASKS, model, SMALL.model_copy(update=few), job)
+    stage.run(views, NO_MASKS, model, begun.start, few.train, job)
     samples = [event for event in told if isinstance(event, Sampled)]
     assert [(event.step, event.steps) for event in samples] == [(10, 20), (20, 20)]
     last = samples[-1].figures

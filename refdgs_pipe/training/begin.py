@@ -1,0 +1,66 @@
+"""Where surfels start: in the masks, where a first look finds the object, or on a stereo cloud."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from refdgs_pipe.artifacts.sparse_model import SparseModel
+from refdgs_pipe.artifacts.start import Start
+from refdgs_pipe.artifacts.views import Views
+from refdgs_pipe.training.look import look
+from refdgs_pipe.training.photos import TrainingPhoto, load_training_photos
+from refdgs_pipe.training.settings import StartParams
+from refdgs_pipe.training.starting import Given, start_of
+from refdgs_pipe.training.step import near_of
+from refdgs_pipe.training.stereo_start import agreed_cloud
+
+
+@dataclass(frozen=True)
+class Begun:
+    """A start, and whether it lies on what neighbouring photos agree on."""
+
+    start: Start
+    stereo: bool
+
+
+def begin(
+    views: Views,
+    model: SparseModel,
+    params: StartParams,
+    scratch: Path,
+    *,
+    device: str = "cpu",
+    photos: list[TrainingPhoto] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Begun:
+    """Look for where surfels start. What a look or stereo found stays in `scratch`.
+
+    Args:
+        device: where a first look is computed, "cpu" or "cuda".
+        photos: those of the views, if they are in memory already.
+        progress: told the steps done and their number; may raise.
+
+    Raises:
+        TrainingError: no view is left to train on.
+    """
+    near = near_of(model)
+    if photos is None:
+        photos = load_training_photos(views, model, max_side=params.max_side, near=near)
+    masked = views.background != "photo"
+    if masked:
+        return Begun(start_of(Given(params, model, photos, progress=progress), masked=True), False)
+    agreed = agreed_cloud(params, model, photos, scratch, progress)
+    if agreed is not None or params.look_steps == 0:
+        given = Given(params, model, photos, agreed=agreed, progress=progress)
+        return Begun(start_of(given, masked=False), agreed is not None)
+    seen = look(params, model, photos, scratch, near=near, device=device, progress=progress)
+    given = Given(
+        params,
+        model,
+        seen.photos,
+        behind=seen.background,
+        covers=seen.covers,
+        random=seen.random,
+        progress=progress,
+    )
+    return Begun(start_of(given, masked=False), False)
