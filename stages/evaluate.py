@@ -16,7 +16,7 @@ from refdgs_pipe.evaluation.settings import EvaluateParams
 from refdgs_pipe.pipeline.stage import Job, stage
 
 
-@stage(version=7, programs=("open3d-cpu", "scipy"))
+@stage(version=8, programs=("open3d-cpu", "scipy"))
 def evaluate(
     capture: Capture,
     views: Views,
@@ -34,6 +34,7 @@ def evaluate(
     from refdgs_pipe.evaluation.scoring import Drawing, Protocol, Subject, score
     from refdgs_pipe.evaluation.speed import Timed
     from refdgs_pipe.relight import relit
+    from refdgs_pipe.training.ground import ground_below
     from refdgs_pipe.training.render import render_image, render_surface_map
 
     picture = Timed(partial(render_image, field, device=job.device, threads=job.threads))
@@ -42,7 +43,8 @@ def evaluate(
     protocol = Protocol(params.max_side, lpips, lambda c: job.track(c, "comparing views"))
     views = masks.applied(views, model.names)
     model = model.placed(field.poses, field.ball)
-    subject = Subject(views, model, mesh, capture.layout().root, textured)
+    ground = ground_below(model, field)
+    subject = Subject(views, model, mesh, capture.layout().root, textured, ground)
     scores = score(subject, Drawing(picture, maps, relit(textured, looks)), protocol)
     for name, value, unit in scores.headlines():
         job.measure(name, value, unit)

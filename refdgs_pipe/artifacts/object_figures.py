@@ -21,6 +21,8 @@ class ObjectFigures:
             the mesh's diagonal.
         contradicted: share of the places that one view sees where another view sees through, or
             sees something behind.
+        unexplained: share of the surface where photos agree neither on its colour nor on what it
+            would mirror.
         seen: share of the surface that photos saw well; unseen: that none saw.
         holes: open rims without a single one round the bottom; hole_length: theirs, in diagonals.
         parts: loose pieces that are smaller than a twentieth of the surface; part_share: their
@@ -38,6 +40,7 @@ class ObjectFigures:
     outline: float | None = None
     depth: float | None = None
     contradicted: float | None = None
+    unexplained: float | None = None
     seen: float | None = None
     unseen: float | None = None
     holes: int = 0

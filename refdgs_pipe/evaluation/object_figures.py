@@ -4,7 +4,7 @@ No ground truth is looked at. Where masks say what the object is, they are belie
 the object is what the field and the mesh show of it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -20,10 +20,13 @@ from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.evaluation.wholeness import loose_parts, open_holes, seen_shares
+from refdgs_pipe.irradiance import links_of
 from refdgs_pipe.metrics import psnr
+from refdgs_pipe.mirrored import Glimpse, unexplained
 from refdgs_pipe.ray_casting import Solid
 
 F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 TRAINING_VIEWS = 4  # photos of the training that are compared too
@@ -33,6 +36,7 @@ _WORST = 5.0  # percent of the diagonal: larger differences of depth count as th
 _BEFORE = 0.01  # of the diagonal: nearer by this than what another view sees is a contradiction
 _PAIRED = 8  # views that are held against each other
 _POINTS = 2000  # of each of them
+_SEEN = 0.02  # of the ball's diameter: depth by which a place that is seen may lie off
 
 
 @dataclass(frozen=True)
@@ -92,9 +96,21 @@ class Witness:
         return glance.psnr, glance.asset_psnr
 
     def evidence(
-        self, views: Views, model: SparseModel, textured: TexturedMesh | None, *, held_out: bool
+        self,
+        views: Views,
+        model: SparseModel,
+        textured: TexturedMesh | None,
+        *,
+        held_out: bool,
+        photos: Iterable[Photo] = (),
+        ground: F64 | None = None,
     ) -> ObjectFigures:
-        """What all views tell together, and what the mesh tells without any."""
+        """What all views tell together, and what the mesh tells without any.
+
+        Args:
+            photos: small ones, to hold colours and reflections against each other.
+            ground: (3,) unit normal of the ground through the world's origin, if it is known.
+        """
         holes, hole_length = open_holes(self._mesh, model.up)
         parts, part_share = loose_parts(self._mesh)
         seen, unseen = (None, None) if textured is None else seen_shares(textured)
@@ -109,6 +125,7 @@ class Witness:
             outline=_mean([glance.outline for glance in self._glances]),
             depth=_mean([glance.depth for glance in self._glances]),
             contradicted=contradicted(self._maps, _BEFORE * self._diagonal),
+            unexplained=self._unexplained(photos, ground, model.ball.radius),
             seen=seen,
             unseen=unseen,
             holes=holes,
@@ -116,6 +133,29 @@ class Witness:
             parts=parts,
             part_share=part_share,
             metres=model.metres_per_unit is not None,
+        )
+
+    def _unexplained(
+        self, photos: Iterable[Photo], ground: F64 | None, radius: float
+    ) -> float | None:
+        """Share of the surface where photos agree neither on a colour nor on a reflection."""
+        glimpses = (
+            Glimpse(photo.camera, photo.rgb, hit_depth(self._solid, photo.camera))
+            for photo in photos
+        )
+        vertices, faces = self._mesh.vertices.astype(np.float64), self._mesh.faces
+        corners = vertices[faces]
+        sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        thirds = np.repeat(np.linalg.norm(sides, axis=1) / 6, 3)
+        return unexplained(
+            vertices,
+            self._mesh.vertex_normals().astype(np.float64),
+            np.asarray(np.bincount(faces.ravel(), thirds, len(vertices)), np.float64),
+            links_of(faces),
+            glimpses,
+            near=_SEEN * 2 * radius,
+            ground=ground,
+            radius=radius,
         )
 
     def _depth_apart(self, there: F32, maps: SurfaceMap) -> float | None:

@@ -51,6 +51,7 @@ from refdgs_pipe.ops import ssim_map
 F32 = NDArray[np.float32]
 Track = Callable[[list[Camera]], Iterable[Camera]]
 Distance = Callable[[F32, F32], float]
+COMPARED_VIEWS, COMPARED_SIDE = 64, 320  # at most; pixels: for colours and reflections
 _SOURCES = {
     "normal_mae_deg": "NAME_normal.png",
     "normal_mae_foreground_deg": "NAME_normal.png",
@@ -83,6 +84,7 @@ class Subject:
         root: the folder that the sources of the views are relative to; truth lies in it.
         mesh: in the world frame of `model`.
         textured: the same with its textures, if they are scored too.
+        ground: (3,) unit normal of the ground through the world's origin, if it is known.
     """
 
     views: Views
@@ -90,6 +92,7 @@ class Subject:
     mesh: TriangleMesh
     root: Path
     textured: TexturedMesh | None = None
+    ground: NDArray[np.float64] | None = None
 
     @property
     def no_truth(self) -> str | None:
@@ -176,7 +179,16 @@ def _evidence(
     is_held_out = any(camera.split == "test" for camera in subject.model.cameras)
     if is_held_out:
         _look_at_training(subject, drawing, protocol, witness)
-    return witness.evidence(subject.views, subject.model, subject.textured, held_out=is_held_out)
+    cameras = subject.model.cameras
+    some = np.unique(np.linspace(0, len(cameras) - 1, COMPARED_VIEWS).astype(int))
+    return witness.evidence(
+        subject.views,
+        subject.model,
+        subject.textured,
+        held_out=is_held_out,
+        photos=(_photo(subject, cameras[i], COMPARED_SIDE) for i in some),
+        ground=subject.ground,
+    )
 
 
 def _surface_notes(surface: SurfaceScore) -> dict[str, str]:

@@ -240,6 +240,23 @@ _ASPECTS = (
         ),
     ),
     _Aspect(
+        "surface that its photos explain",
+        lambda e: None if e.unexplained is None else 1 - e.unexplained,
+        0.3,
+        0.9,
+        lambda e: (
+            f"{1 - (e.unexplained or 0):.0%}: the rest has neither one colour nor one "
+            "reflection in all photos"
+        ),
+        "look for closed hollows and for bulges in the section Mesh; take more photos, also into "
+        "hollows, or use the recipe `glossy`",
+        (
+            "Much of the surface is not where the photos show it: a hollow may be closed",
+            "Part of the surface may not be where the photos show it, as over a closed hollow",
+            "Colours and reflections fit the surface",
+        ),
+    ),
+    _Aspect(
         "asset, in the light that was found, against photos",
         lambda e: e.asset_psnr,
         13.0,

@@ -23,7 +23,7 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 
 from refdgs_pipe.artifacts.mesh import TriangleMesh
 from refdgs_pipe.irradiance import links_of
-from refdgs_pipe.surface.mirrored import Glimpse, mirror_agreement
+from refdgs_pipe.mirrored import Glimpse, mirror_agreement
 from refdgs_pipe.surface.silhouettes import MOST, spread_evenly
 
 F64 = NDArray[np.float64]

@@ -11,10 +11,10 @@ from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.surface_map import SurfaceMap
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.irradiance import links_of
+from refdgs_pipe.mirrored import Glimpse
 from refdgs_pipe.ray_casting import Solid
 from refdgs_pipe.surface.agreement import Pattern, disagreement
 from refdgs_pipe.surface.flats import Mirrored, flats_of, flattened
-from refdgs_pipe.surface.mirrored import Glimpse
 from refdgs_pipe.surface.rims import fit_rims
 from refdgs_pipe.surface.silhouettes import MOST, Outline, outline_pull, spread_evenly
 from refdgs_pipe.surface.walls import with_walls

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from refdgs_pipe.artifacts.mesh import TriangleMesh
 from refdgs_pipe.artifacts.surface_map import SurfaceMap
 from refdgs_pipe.camera import Camera
+from refdgs_pipe.irradiance import links_of
+from refdgs_pipe.mirrored import Glimpse, mirror_agreement, unexplained
 from refdgs_pipe.ray_casting import Solid
 from refdgs_pipe.surface.flats import Mirrored, flats_of, flattened
-from refdgs_pipe.surface.mirrored import Glimpse, mirror_agreement
 
 F64 = NDArray[np.float64]
 HALF = np.array([0.5, 0.4, 0.3])
@@ -154,3 +155,37 @@ def test_a_glimpse_is_a_small_picture_of_a_view() -> None:
     assert (glimpse.depth[:, :155] == 0).all()
     assert (glimpse.depth[:, 165:] == 1).all()
     assert glimpse.camera.K[0, 0] == pytest.approx(700 / 3)
+
+
+def painted(places: F64, _: F64) -> F64:
+    """Stripes by place: matte paint."""
+    return 0.5 + 0.4 * np.sin(8 * places)
+
+
+@pytest.mark.parametrize(
+    ("true", "light", "bad"), [(0, painted, False), (0.06, far, False), (0, far, True)]
+)
+def test_what_has_one_colour_or_one_reflection_is_explained(
+    true: float, light: Light, bad: bool
+) -> None:
+    mesh = bulged_box(0.06 if light is far else 0)
+    top = mesh.vertices[:, 2] > HALF[2] - 0.01
+    share = unexplained(
+        mesh.vertices.astype(float),
+        mesh.vertex_normals().astype(float),
+        np.where(top, 1.0, 0.0),
+        links_of(mesh.faces),
+        glimpses_of(mesh, bulged_box(true), light),
+        near=0.05,
+    )
+    assert share is not None
+    assert share > 0.5 if bad else share < 0.15
+
+
+def test_what_no_view_sees_is_not_judged() -> None:
+    mesh = bulged_box(0)
+    views = glimpses_of(mesh, mesh, far)
+    points = mesh.vertices.astype(float) + 9
+    normals = mesh.vertex_normals().astype(float)
+    area = np.ones(len(points))
+    assert unexplained(points, normals, area, links_of(mesh.faces), views, near=0.05) is None
