@@ -4,16 +4,20 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+import finished
 import numpy as np
 import pytest
 
 from refdgs_pipe.artifacts.appearance import Appearance
 from refdgs_pipe.artifacts.asset import Asset
+from refdgs_pipe.artifacts.checkpoint import Checkpoint
 from refdgs_pipe.artifacts.masks import Masks
 from refdgs_pipe.artifacts.mesh import Mesh, RawMesh, UvMesh
 from refdgs_pipe.artifacts.placement import Attempt, Placement, Poses
 from refdgs_pipe.artifacts.scores import Scores
+from refdgs_pipe.artifacts.shape import Shape
 from refdgs_pipe.artifacts.sparse_model import SparseModel
+from refdgs_pipe.artifacts.start import Start
 from refdgs_pipe.artifacts.surfel_field import SurfelField
 from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
 from refdgs_pipe.artifacts.views import Views
@@ -22,12 +26,15 @@ from refdgs_pipe.errors import CorruptError
 KINDS: list[Any] = [
     Appearance,
     Asset,
+    Checkpoint,
     Masks,
     Mesh,
     Placement,
     RawMesh,
     Scores,
+    Shape,
     SparseModel,
+    Start,
     SurfelField,
     TexturedMesh,
     UvMesh,
@@ -71,6 +78,9 @@ SAVED: dict[str, Any] = {
     "appearance": appearance(),
     "poses": Placement(poses()),
     "placement": Placement(None, (Attempt("a", 3, 2, 10),), ("a note",), True, 0.5, np.eye(3)[2]),
+    "start": finished.start(),
+    "checkpoint": finished.checkpoint(),
+    "shape": Shape(None, "no views"),
     "scores": Scores("test", (), None, 12, {}, None, None),
 }
 
