@@ -16,7 +16,7 @@ class MasksParams(Params):
         "auto", description="auto: where the photos have none and all agree on one; or off"
     )
     agreement: float = Field(
-        0.9,
+        0.87,
         ge=0,
         le=1,
         description="masks that agree less with the solid that all of them show are not used; "
