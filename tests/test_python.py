@@ -53,6 +53,7 @@ def test_the_package_can_be_run_as_the_command_line() -> None:
     assert python("-m", "refdgs_pipe", "--version").strip() == refdgs_pipe.__version__
 
 
+@pytest.mark.timeout(900)  # two minutes on an idle machine, and it trains
 def test_the_example_of_the_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(turntable, "_FRAME", 40)  # of the report; takes most of the time
