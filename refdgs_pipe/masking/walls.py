@@ -27,16 +27,16 @@ COARSE = 0.07  # ball radii: wider patterns are left out of what is compared
 BLURS = (0.0, 0.017)  # ball radii, of the compared pictures: rough mirrors blur what they show
 FAINT = 0.03  # contrast of log brightness that tells nothing
 PLAIN = 0.01  # squared, of mixed second differences of log brightness that tell nothing
-ALIKE, BETTER = 0.6, 0.4  # correlation of a mirror image; more than `Wall.gain` is measured by
+ALIKE, BETTER = 0.6, 0.4  # least `Wall.likeness` and `Wall.gain` of a mirror
 EVEN = 0.4  # median correlation of the parts of a mirror image: it is like in most of them
 BLOCKS = 6  # parts along the line; there are two across
-# Correlation of a mirror without another at a right angle or back to back; more than elsewhere
+# The same of a mirror without another at a right angle or back to back
 ALONE, ALONE_BETTER = 0.75, 0.55
 AMONG = 0.5  # correlation of a mirror with two others at a right angle or back to back
 SQUARE_ALIKE, SQUARE_BETTER = 0.4, 0.3  # the same beside a mirror at a right angle
 SQUARE = 0.08  # cosine or sine of the angle between mirrors that counts as right
 SHARED = 0.6  # correlation with what other photos see, from which on no mirror is between
-USUAL, LEAST_PLAIN = 0.95, 200  # share of such places that is less like its mirror image; least
+USUAL, LEAST_PLAIN = 0.95, 200  # quantile of the likeness of such places; fewest places
 ON = 0.35  # correlation at which a mirror goes on, sideways and in depth
 MOST_DEEP = 0.8  # ball radii that a mirror image reaches
 APART = 0.1  # ball radii between parallel mirrors
