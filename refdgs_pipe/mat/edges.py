@@ -77,7 +77,7 @@ def _line(points: F64) -> F64:
     kept = points
     for _ in range(2):
         center = kept.mean(axis=0)
-        normal = np.linalg.svd(kept - center)[2][1]
+        normal = np.linalg.svd(kept - center, full_matrices=False)[2][1]
         off = np.abs((points - center) @ normal)
         kept = points[off <= max(3 * float(np.median(off)), 0.05)]
     return np.append(normal, -normal @ center)

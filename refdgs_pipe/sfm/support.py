@@ -73,7 +73,7 @@ def support_plane(points: F64, center: F64, radius: float, up: F64) -> Plane | N
     if best is None or best.support < max(30, PLANE_SHARE * len(near)):
         return None
     on = near[np.abs(best.heights(near)) < TOLERANCE * radius]
-    _, _, directions = np.linalg.svd(on - on.mean(0))
+    _, _, directions = np.linalg.svd(on - on.mean(0), full_matrices=False)
     return _plane_through(directions[2], on.mean(0), near, up, TOLERANCE * radius) or best
 
 
