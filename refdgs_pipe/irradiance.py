@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from refdgs_pipe.light import Environment
+from refdgs_pipe.light import Light
 from refdgs_pipe.ray_casting import Solid, cosine_rays
 
 F32 = NDArray[np.float32]
@@ -35,7 +35,7 @@ class Sky:
         share = (self.seen < 0).mean(0)[:, None]
         return self._smooth(share.astype(np.float32))[:, 0]
 
-    def received(self, environment: Environment, radiance: F32) -> F32:
+    def received(self, environment: Light, radiance: F32) -> F32:
         """(V, 3) radiance of a white matte surface there.
 
         Args:

@@ -6,7 +6,7 @@ columns run from +x towards +y, as in the Sph-Mip map; texel centres are at + 0.
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -192,6 +192,14 @@ def level_weights(roughness: Any) -> list[Any]:
     return weights
 
 
+class Light(Protocol):
+    """Light from far away that can be looked up by direction."""
+
+    def mirrored(self, directions: F32, roughness: F32) -> F32:
+        """(N, 3) radiance for mirrored rays (N, 3) and roughness (N,)."""
+        ...
+
+
 class Environment:
     """Light from far away, looked up blurred.
 
@@ -220,6 +228,23 @@ class Environment:
         index, weights = lookups(directions, self.blur.heights[level])
         found = np.einsum("nk,nkc->nc", weights, self.levels[level][index])
         return np.asarray(found, np.float32)
+
+
+@dataclass(frozen=True)
+class Turned:
+    """Light in a frame that is turned against the world.
+
+    Args:
+        light: in its own frame; turn: (3, 3) rotation of world directions into that.
+    """
+
+    light: Light
+    turn: F64
+
+    def mirrored(self, directions: F32, roughness: F32) -> F32:
+        """(N, 3) radiance for mirrored world rays (N, 3)."""
+        turned = np.asarray(directions @ self.turn.T, np.float32)
+        return self.light.mirrored(turned, roughness)
 
 
 def _operator(lobe: Any, roughness: float, source: int, target: int) -> Any:

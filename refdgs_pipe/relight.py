@@ -6,17 +6,28 @@ from there; and for the matte part the light gathered over the half sphere, boun
 """
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from refdgs_pipe.artifacts.appearance import Appearance
+from refdgs_pipe.artifacts.lighting import WORLD, Lighting, angle_of
 from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.color import linear_from_srgb, srgb_from_linear
-from refdgs_pipe.irradiance import look_around
-from refdgs_pipe.light import DIELECTRIC, SMOOTHEST, Environment, passed_share, reflected_share
+from refdgs_pipe.irradiance import Sky, look_around
+from refdgs_pipe.lamp import Lamp
+from refdgs_pipe.light import (
+    DIELECTRIC,
+    SMOOTHEST,
+    Environment,
+    Light,
+    Turned,
+    passed_share,
+    reflected_share,
+)
 from refdgs_pipe.ray_casting import Hits, Solid, at_hits
 from refdgs_pipe.vectors import unit
 
@@ -28,6 +39,7 @@ _BOUNCES = 3
 _REFLECTIONS = 1  # of mirrored rays after the first, on the object itself
 _LIFT = 0.0025  # of the object's diagonal: mirrored rays start this far above the surface
 _CHUNK = 1 << 18
+_ROOM_STEP = 10.0  # degrees between rooms for which the light on matte surfaces is gathered
 
 
 @dataclass(frozen=True)
@@ -71,44 +83,85 @@ class Relit:
 
     Args:
         textured: its textures are rounded to 8 bits, as the files have them.
-        environment: (H, 2H, 3) linear radiance, laid out as `refdgs_pipe.light` says.
+        environment: (H, 2H, 3) linear radiance, laid out as `refdgs_pipe.light` says, in the frame
+            where it stands still.
+        lighting: how the light moves; white: of `Appearance`.
     """
 
-    def __init__(self, textured: TexturedMesh, environment: F32) -> None:
+    def __init__(
+        self,
+        textured: TexturedMesh,
+        environment: F32,
+        *,
+        lighting: Lighting = WORLD,
+        white: float = 0.0,
+    ) -> None:
+        self.lighting, self.white = lighting, white
+        self.lamp: Lamp | None = None
+        self._rooms: dict[int, tuple[F32, F32]] = {}
         self.mesh, self.tangents = textured.mesh, textured.tangents
         self.solid = Solid(self.mesh.vertices, self.mesh.faces)
-        self.light = Environment(environment)
+        self.light: Light = Environment(environment)
         self._base = linear_from_srgb(_eight(textured.base_color))
         self._grey = np.stack([_eight(textured.roughness), _eight(textured.metallic)], -1)
         self._normal = _eight(textured.normal) * 2 - 1
         self.lift = np.float32(_LIFT * np.linalg.norm(np.ptp(self.mesh.vertices, axis=0)))
-        self._received, self._sent = self._gathered()
+        self._sky, self._first, self._same = self._look()
+        self._received, self._sent = self._gathered(self.light)
 
-    def _gathered(self) -> tuple[F32, F32]:
-        """(V, 3) light that reaches each vertex as a matte surface shows it, and what it sends."""
+    def under(self, camera: Camera) -> "Relit":
+        """The same in the light of a photo that the camera takes, where that moves."""
+        if (flash := self.lighting.flash) is None and self.lighting.turntable is None:
+            return self
+        other = copy(self)
+        if flash is not None and (place := self.lighting.lamp_of(camera)) is not None:
+            other.lamp = Lamp(place, flash.distance, self.white, flash.room)
+            return other
+        turn = self.lighting.light_from_world(camera.center)
+        assert self.lighting.turntable is not None
+        angle = np.degrees(angle_of(turn, self.lighting.turntable.axis))
+        step = round(float(angle) / _ROOM_STEP)
+        if step not in self._rooms:
+            self._rooms[step] = self._gathered(Turned(self.light, turn))
+        other.light = Turned(self.light, turn)
+        other._received, other._sent = self._rooms[step]
+        return other
+
+    def _look(self) -> tuple[Sky, Ints, Ints]:
+        """What places see of the object and around it; a vertex of each; the place of each."""
         mesh = self.mesh
         points, first, same = np.unique(
             mesh.vertices, axis=0, return_index=True, return_inverse=True
         )
-        same = same.reshape(-1)
+        same = same.reshape(-1).astype(np.int64)
         faces = same[mesh.faces].astype(np.int32)
         sky = look_around(points, faces, mesh.normals[first], lift=float(self.lift))
-        here = self._at(mesh.uv[first])
-        typical = np.full((len(points), 1), 0.7, np.float32)
+        return sky, first, same
+
+    def _gathered(self, light: "Light") -> tuple[F32, F32]:
+        """(V, 3) light that reaches each vertex as a matte surface shows it, and what it sends."""
+        sky, same = self._sky, self._same
+        here = self._at(self.mesh.uv[self._first])
+        typical = np.full((len(here.base), 1), 0.7, np.float32)
         share = here.scattered * passed_share(here.roughness, typical)
         share += reflected_share(here.f0, here.roughness, typical)
-        sent = np.zeros_like(points)
+        sent = np.zeros_like(here.base)
         received = sent
         for _ in range(_BOUNCES):
-            received = sky.received(self.light, sent)
+            received = sky.received(light, sent) if not self.white else sent + self.white
             sent = received * share
         return received[same], sent[same]
 
     def draw(self, camera: Camera) -> tuple[F32, F32]:
         """(H, W, 3) sRGB picture, not premultiplied, and (H, W) coverage.
 
-        Pixels whose rays differ much get more of them.
+        Pixels whose rays differ much get more of them. Light that moves is as the camera's photo
+        would have it.
         """
+        return self.under(camera)._drawn(camera)
+
+    def _drawn(self, camera: Camera) -> tuple[F32, F32]:
+        """`draw` in this light."""
         whole = np.arange(camera.width * camera.height)
         mean, apart = self._looked(camera, whole, _SUPERSAMPLING)
         steep = np.flatnonzero(apart > _STEEP)
@@ -163,8 +216,13 @@ class Relit:
         incoming[near.rays] = self._seen(near, mirrored[near.rays], _REFLECTIONS)
         cosine = np.clip(along, 0.02, 1)
         share = reflected_share(here.f0, here.roughness, cosine)
-        received = at(self._received) * passed_share(here.roughness, cosine)
-        return Seen(here, along[:, 0], received, incoming * share)
+        passed = passed_share(here.roughness, cosine)
+        if self.lamp is None:
+            return Seen(here, along[:, 0], at(self._received) * passed, incoming * share)
+        points = at(mesh.vertices)
+        lit = np.repeat(self.lamp.received(points, normal), 3, axis=1)
+        lobe = self.lamp.mirrored(points, normal, toward, here.f0, here.roughness)
+        return Seen(here, along[:, 0], lit * passed, incoming * share + lobe)
 
     def _shade(self, hits: Hits, toward: F32) -> F32:
         """(N, 3) linear radiance towards the eye, (N, 3) unit."""
@@ -205,7 +263,8 @@ def relit(textured: TexturedMesh, looks: Appearance) -> Callable[[Camera], tuple
     """What draws a textured mesh in the light that it was told from; None if there is none."""
     if looks.environment is None:
         return None
-    return Relit(textured, looks.environment).draw
+    moving = looks.lighting
+    return Relit(textured, looks.environment, lighting=moving, white=looks.white).draw
 
 
 def offsets(side: int) -> list[tuple[float, float]]:

@@ -4,6 +4,7 @@ DOING = {
     "ingest": "reading the photos",
     "sfm": "finding the cameras",
     "gate": "checking the cameras",
+    "lighting": "looking at how the light moves",
     "masks": "finding the object in the photos",
     "start": "finding a first shape",
     "train": "learning shape and reflections",

@@ -55,4 +55,4 @@ def bake(
         return textured
     views, cameras = masks.applied(views, model.names), model.training_cameras
     photos = (load_photo(views, model, c) for c in job.track(cameras, "comparing with photos"))
-    return refined(textured, looks.environment, photos, near=tolerance, count=len(cameras))
+    return refined(textured, looks, photos, near=tolerance, count=len(cameras))

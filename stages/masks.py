@@ -3,6 +3,7 @@
 from functools import partial
 from pathlib import Path
 
+from refdgs_pipe.artifacts.lighting import Lighting
 from refdgs_pipe.artifacts.masks import Masks
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.views import Views
@@ -11,7 +12,9 @@ from refdgs_pipe.pipeline.stage import Job, stage
 
 
 @stage(version=13, programs=("opencv-contrib-python-headless", "scipy"))
-def masks(views: Views, model: SparseModel, params: MasksParams, job: Job) -> Masks:
+def masks(
+    views: Views, model: SparseModel, lighting: Lighting, params: MasksParams, job: Job
+) -> Masks:
     """Tell the object from what it stands on and from the room, in all photos together."""
     import torch
 
@@ -45,7 +48,7 @@ def masks(views: Views, model: SparseModel, params: MasksParams, job: Job) -> Ma
         return none("the sparse points show no plane that the object stands on")
     torch.set_num_threads(1)  # photos are worked on side by side
     told = partial(job.progress, "finding the object")
-    found = object_masks(views, model, (plane.normal, plane.offset), told, job.threads)
+    found = object_masks(views, model, plane.at, told, threads=job.threads, lamp=lighting.lamp)
     if found is None:
         return none("nothing stands on the plane that all photos agree on")
     mean, low = agreement(found)

@@ -4,6 +4,7 @@ from dataclasses import replace
 from functools import partial
 
 from refdgs_pipe.artifacts.checkpoint import Checkpoint
+from refdgs_pipe.artifacts.lighting import Lighting
 from refdgs_pipe.artifacts.masks import Masks
 from refdgs_pipe.artifacts.shape import Shape
 from refdgs_pipe.artifacts.sparse_model import SparseModel
@@ -19,6 +20,7 @@ def refine(
     views: Views,
     masks: Masks,
     model: SparseModel,
+    lighting: Lighting,
     start: Start,
     before: Checkpoint,
     shape: Shape,
@@ -39,6 +41,7 @@ def refine(
     views, start = masks.applied(views, model.names), replace(start, max_side=before.max_side)
 
     part = partial(Trainer, views, model, scratch=job.scratch, device=job.device, warn=job.warn)
+    part = partial(part, lighting=lighting)
 
     def make(x: Load) -> Trainer:
         anew = Renewal(shape.mesh, shape.why_not, params.surfels, x.most, params.turning)

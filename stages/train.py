@@ -3,6 +3,7 @@
 from functools import partial
 
 from refdgs_pipe.artifacts.checkpoint import Checkpoint
+from refdgs_pipe.artifacts.lighting import Lighting
 from refdgs_pipe.artifacts.masks import Masks
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.start import Start
@@ -13,7 +14,13 @@ from refdgs_pipe.training.settings import TrainParams
 
 @stage(version=15)
 def train(
-    views: Views, masks: Masks, model: SparseModel, start: Start, params: TrainParams, job: Job
+    views: Views,
+    masks: Masks,
+    model: SparseModel,
+    lighting: Lighting,
+    start: Start,
+    params: TrainParams,
+    job: Job,
 ) -> Checkpoint:
     """Optimise geometry, local reflection and background surfels and the shader."""
     import torch
@@ -28,7 +35,7 @@ def train(
     part = partial(Trainer, views, model, scratch=job.scratch, device=job.device, warn=job.warn)
 
     def make(x: Load) -> Trainer:
-        return part(x.start, x.params, cuda_graph=x.cuda_graph)
+        return part(x.start, x.params, lighting=lighting, cuda_graph=x.cuda_graph)
 
     load = Load(params, start, job.cuda_graph)
     how = (job.device, job.vram, teller(job.sample, job.progress), job.warn)

@@ -1,5 +1,6 @@
 """Damaged artifacts on disk are told as such: the engine then makes them again."""
 
+import json
 import shutil
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import pytest
 from refdgs_pipe.artifacts.appearance import Appearance
 from refdgs_pipe.artifacts.asset import Asset
 from refdgs_pipe.artifacts.checkpoint import Checkpoint
+from refdgs_pipe.artifacts.lighting import BANDS, Flash, Lighting, Ring, Turntable
 from refdgs_pipe.artifacts.masks import Masks
 from refdgs_pipe.artifacts.mesh import Mesh, RawMesh, UvMesh
 from refdgs_pipe.artifacts.placement import Attempt, Placement, Poses
@@ -27,6 +29,7 @@ KINDS: list[Any] = [
     Appearance,
     Asset,
     Checkpoint,
+    Lighting,
     Masks,
     Mesh,
     Placement,
@@ -150,3 +153,33 @@ def test_an_appearance_is_read_as_it_was_written(seed: int, tmp_path: Path) -> N
     for name, value in vars(made).items():
         same = getattr(read, name)
         assert same is None if value is None else np.array_equal(same, value)
+
+
+TABLE = Turntable(np.zeros(3), np.array([0.0, 0, 1]), (Ring(1, 2, 0.1),), np.ones((BANDS, 3)))
+LIGHTS = [
+    Lighting("world", "because"),
+    Lighting("turntable", "", turntable=TABLE),
+    Lighting("flash", "", flash=Flash(np.array([0.0, -0.1, 0]), 3.0, 0.2)),
+]
+
+
+@pytest.mark.parametrize("light", LIGHTS, ids=lambda light: light.kind)
+def test_a_lighting_comes_back_as_it_was(light: Lighting, tmp_path: Path) -> None:
+    light.save(tmp_path)
+    assert Lighting.load(tmp_path).record() == light.record()
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {"kind": "moon"},
+        {"kind": "flash"},
+        {"kind": "flash", "flash": {"lamp": [0, 0], "distance": 1, "room": 0}},
+        {"kind": "flash", "flash": {"lamp": [0, 0, 0], "distance": 0, "room": 0}},
+        {"kind": "turntable", "turntable": {"rings": []}},
+    ],
+)
+def test_a_damaged_lighting_is_told(damage: dict[str, Any], tmp_path: Path) -> None:
+    (tmp_path / "lighting.json").write_text(json.dumps({"reason": "", **damage}))
+    with pytest.raises(CorruptError, match="lighting"):
+        Lighting.load(tmp_path)

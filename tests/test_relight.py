@@ -7,6 +7,7 @@ import pytest
 from painted import textured
 from scenes import look_at
 
+from refdgs_pipe.artifacts.lighting import BANDS, Flash, Lighting, Ring, Turntable
 from refdgs_pipe.relight import Relit, offsets, rays_of
 
 SKY = np.full((16, 32, 3), 0.5, np.float32)
@@ -69,3 +70,47 @@ def test_rays_share_out_a_pixel_evenly() -> None:
     assert offsets(1) == [(0.0, 0.0)]
     np.testing.assert_allclose(np.mean(offsets(4), axis=0), 0, atol=1e-12)
     assert len(set(offsets(4))) == 16 and np.abs(offsets(4)).max() == 0.375
+
+
+def half_lit() -> np.ndarray:
+    """A room whose light comes from +x."""
+    room = np.full((16, 32, 3), 0.05, np.float32)
+    room[:, :8], room[:, 24:] = 0.9, 0.9
+    return room
+
+
+def test_on_a_turntable_every_photo_has_the_room_s_light_from_the_same_side() -> None:
+    """The ball looks alike from all sides of its table, because it is lit by the camera's room."""
+    table = Turntable(np.zeros(3), np.array([0.0, 0, 1]), (Ring(1.0, 4.0),), np.zeros((BANDS, 3)))
+    ball = textured()
+    grey = replace(ball, base_color=np.full_like(ball.base_color, 40000))
+    cameras = [
+        look_at("v", np.array([4 * np.cos(a), 4 * np.sin(a), 1.0]), size=48, focal=55)
+        for a in (0.0, 2.0)
+    ]
+    still, moving = (
+        Relit(grey, half_lit()),
+        Relit(grey, half_lit(), lighting=Lighting("turntable", "", table)),
+    )
+    apart = [
+        float(np.abs(np.subtract(*(r.draw(c)[0] for c in cameras))).mean()) for r in (still, moving)
+    ]
+    assert apart[1] < 0.25 * apart[0]
+
+
+def test_a_flash_lights_what_faces_the_camera() -> None:
+    ball = textured()
+    matte = replace(
+        ball,
+        base_color=np.full_like(ball.base_color, 48059),  # linear 0.4969
+        roughness=np.full_like(ball.roughness, 65535),
+        metallic=np.zeros_like(ball.metallic),
+    )
+    flash = Lighting("flash", "", flash=Flash(np.zeros(3), 3.1, 0.0))
+    dark = np.zeros((16, 32, 3), np.float32)
+    picture, alpha = Relit(matte, dark, lighting=flash, white=0.6).draw(CAMERA)
+    linear = ((picture + 0.055) / 1.055) ** 2.4
+    rows, columns = np.nonzero(alpha == 1)
+    middle = linear[int(rows.mean()), int(columns.mean())]
+    assert middle == pytest.approx([0.6 * 0.497] * 3, rel=0.1)
+    assert linear[alpha == 1].min() < 0.5 * middle.min()

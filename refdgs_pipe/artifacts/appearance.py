@@ -8,6 +8,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from refdgs_pipe.artifacts.lighting import WORLD, Lighting
 from refdgs_pipe.errors import CorruptError
 
 F32 = NDArray[np.float32]
@@ -37,7 +38,11 @@ class Appearance:
         openness: (V,) share of the light from all sides that nothing of the object is in front
             of, weighted by the cosine: ambient occlusion.
         environment: (H, 2H, 3) linear radiance, laid out as `refdgs_pipe.light` says; None for a
-            field without reflections.
+            field without reflections. Where light moves: in the frame where it stands still, a
+            turntable's room or the world; without the flash.
+        lighting: how it moves.
+        white: linear radiance of a white matte surface that faces a flash at its `distance`; 0
+            without one.
     """
 
     points: F32
@@ -48,6 +53,8 @@ class Appearance:
     received: F32
     openness: F32
     environment: F32 | None
+    lighting: Lighting = WORLD
+    white: float = 0.0
 
     def save(self, folder: Path) -> None:
         from safetensors.numpy import save_file
@@ -57,7 +64,12 @@ class Appearance:
             arrays["environment"] = self.environment
         contiguous = {k: np.ascontiguousarray(v, np.float32) for k, v in arrays.items()}
         save_file(contiguous, folder / "appearance.safetensors")
-        record = {"points": len(self.points), "lit": self.environment is not None}
+        record = {
+            "points": len(self.points),
+            "lit": self.environment is not None,
+            "lighting": self.lighting.record(),
+            "white": self.white,
+        }
         (folder / "appearance.json").write_text(json.dumps(record), "utf-8")
 
     @classmethod
@@ -80,8 +92,11 @@ class Appearance:
             light = arrays.get("environment")
             if light is not None and light.shape != (len(light), 2 * len(light), 3):
                 raise ValueError(f"environment is {light.shape}")
-            return cls(**{name: arrays[name] for name in _PER_POINT}, environment=light)
-        except (OSError, KeyError, ValueError, SafetensorError) as error:
+            record = json.loads((folder / "appearance.json").read_text("utf-8"))
+            moving = Lighting.of(record["lighting"]) if "lighting" in record else WORLD
+            own, white = {name: arrays[name] for name in _PER_POINT}, float(record.get("white", 0))
+            return cls(**own, environment=light, lighting=moving, white=white)
+        except (OSError, KeyError, TypeError, ValueError, SafetensorError) as error:
             raise CorruptError(
                 f"{folder}: not a readable appearance ({error}): run the stage appearance again"
             ) from error

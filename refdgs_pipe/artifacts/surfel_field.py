@@ -9,6 +9,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from refdgs_pipe.artifacts.lighting import WORLD, Lighting
 from refdgs_pipe.artifacts.sparse_model import Ball
 from refdgs_pipe.errors import CorruptError
 
@@ -48,6 +49,7 @@ class ShaderModel:
         reflection, local, mixing, physical: the switches it was trained with.
         environment: (H, W, 4) Sph-Mip base map.
         weights, biases: of the MLP's layers, each (out, in) and (out,).
+        flash: (h, 2h, 4) Sph-Mip base map in the camera's frame; None without a flash.
     """
 
     reflection: bool
@@ -57,6 +59,7 @@ class ShaderModel:
     environment: F32
     weights: tuple[F32, ...]
     biases: tuple[F32, ...]
+    flash: F32 | None = None
 
 
 @dataclass(frozen=True)
@@ -71,6 +74,7 @@ class SurfelField:
         poses: camera's name -> (4, 4) cam_from_world that it was trained with, where that is not
             the sparse model's; see `SparseModel.placed`.
         ball: that it was trained in; None, if that is the sparse model's.
+        lighting: how the light moves from photo to photo, as it was fitted.
     """
 
     geometry: SurfelSet
@@ -80,6 +84,7 @@ class SurfelField:
     near: float
     poses: Mapping[str, F64] = field(default_factory=dict)
     ball: Ball | None = None
+    lighting: Lighting = WORLD
 
     def save(self, folder: Path) -> None:
         from safetensors.numpy import save_file
@@ -91,6 +96,8 @@ class SurfelField:
             arrays |= {f"{name}.values.{k}": v for k, v in part.values.items()}
         for i, (w, b) in enumerate(zip(self.shader.weights, self.shader.biases, strict=True)):
             arrays[f"shader.{i}.weight"], arrays[f"shader.{i}.bias"] = w, b
+        if self.shader.flash is not None:
+            arrays["flash"] = self.shader.flash
         contiguous = {k: np.ascontiguousarray(v, np.float32) for k, v in arrays.items()}
         save_file(contiguous, folder / "field.safetensors")
         record = {
@@ -101,6 +108,7 @@ class SurfelField:
             "near": self.near,
             "layers": len(self.shader.weights),
             "poses": {name: pose.tolist() for name, pose in self.poses.items()},
+            "lighting": self.lighting.record(),
         }
         if self.ball is not None:
             record["ball"] = {"center": self.ball.center.tolist(), "radius": self.ball.radius}
@@ -128,14 +136,17 @@ class SurfelField:
                 arrays["environment"],
                 tuple(arrays[f"shader.{i}.weight"] for i in layers),
                 tuple(arrays[f"shader.{i}.bias"] for i in layers),
+                arrays.get("flash"),
             )
             geometry, local, background = (
                 _set(arrays, name) for name in ("geometry", "local", "background")
             )
             poses = {name: _pose(rows) for name, rows in record.get("poses", {}).items()}
             ball = _ball(record["ball"]) if "ball" in record else None
-            return cls(geometry, local, background, shader, float(record["near"]), poses, ball)
-        except (OSError, KeyError, ValueError, SafetensorError) as error:
+            light = Lighting.of(record["lighting"]) if "lighting" in record else WORLD
+            near = float(record["near"])
+            return cls(geometry, local, background, shader, near, poses, ball, light)
+        except (OSError, KeyError, TypeError, ValueError, SafetensorError) as error:
             raise CorruptError(
                 f"{folder}: not a readable surfel field ({error}): run the stage refine again"
             ) from error

@@ -178,7 +178,7 @@ def light(views: Views) -> list[Finding]:
     if lit:
         text = (
             f"the flash fired in {len(lit)} of {counted(len(views.items), 'photo')}: the light "
-            "moves with the camera, while the surroundings are fitted as if light stood still"
+            "moves with the camera. A lamp on the camera is fitted beside the room's light"
         )
         advice = "Switch the flash off and light the room instead; or expect weaker reflections"
         return [Finding("light", "but", text, advice, tuple(lit))]

@@ -24,6 +24,7 @@ from refdgs_pipe.ground.shots import (
 from refdgs_pipe.masking.beyond import shown_room
 from refdgs_pipe.masking.colours import colour_evidence
 from refdgs_pipe.masking.cut import cut, without_false_holes
+from refdgs_pipe.masking.levels import LAST, LEVELS, Level
 from refdgs_pipe.masking.odds import calibrated
 from refdgs_pipe.masking.solid import (
     agreed,
@@ -31,12 +32,11 @@ from refdgs_pipe.masking.solid import (
     grid,
     low,
     pixels_of,
+    shadow,
     silhouette,
     standing,
 )
 from refdgs_pipe.masking.table import (
-    BLUR,
-    Blur,
     Evidence,
     Table,
     shown_plane,
@@ -44,37 +44,6 @@ from refdgs_pipe.masking.table import (
 )
 from refdgs_pipe.masking.walls import Wall, footprint, mirror_walls
 
-
-@dataclass(frozen=True)
-class Level:
-    """One size of working.
-
-    Args:
-        side: longest side of the photos, pixels.
-        cells: along an edge of the plane's picture.
-        solid: cells along an edge of the solid's grid.
-        denials: for each round the share of the photos that may deny a cell.
-        margin: round the object that photos are cut to, a share of its size.
-        growth: cells by which a mask is widened before it denies.
-        weight: of the evidence against the outline, for a pixel of a photo 400 pixels long.
-        blur: of the evidence of the plane.
-    """
-
-    side: int
-    cells: int
-    solid: int
-    denials: tuple[float, ...]
-    margin: float
-    growth: float
-    weight: float
-    blur: Blur = BLUR
-
-
-LEVELS = (
-    Level(200, 256, 64, (0.25, 0.15), 0.0, 0.9, 0.4),
-    Level(400, 384, 96, (0.08, 0.06), 0.5, 0.9, 0.4),
-)
-LAST = Level(1024, 512, 112, (0.08, 0.06), 0.2, 0.25, 0.25, (0.5, 1.3))
 TELLING = 0.6  # evidence below which the room cannot tell whether a cell is empty
 SURE = 4.0  # evidence against what cannot be the object
 WIDE = 2.2  # radii of the ball that the plane's picture reaches at first
@@ -100,6 +69,7 @@ class Found:
         room: evidence beside the plane; None before it is looked for.
         reach: how far from the ball's centre photos show the plane behind the solid, world units.
         ball: round the solid, with room to spare.
+        shadows: (h, w) where the solid throws a flash's shadow; None without one.
     """
 
     masks: list[F32]
@@ -107,6 +77,7 @@ class Found:
     room: list[Evidence] | None
     reach: float
     ball: Ball
+    shadows: list[Bools] | None = None
 
 
 def object_masks(
@@ -114,7 +85,9 @@ def object_masks(
     model: SparseModel,
     plane: tuple[F64, float],
     progress: Callable[[int, int], None],
+    *,
     threads: int = 1,
+    lamp: F64 | None = None,
 ) -> Found | None:
     """Masks of what stands on a plane, or None where nothing is found.
 
@@ -125,12 +98,13 @@ def object_masks(
         plane: unit normal and offset, world.
         progress: told the rounds done and their number; may raise.
         threads: photos that are worked on at a time; the result does not depend on it.
+        lamp: (3,) of a flash, in the camera's frame, whose shadow moves with it.
     """
     found: Found | None = None
     walls = _walls(views, model, plane, threads)
     total, done = sum(len(level.denials) for level in LEVELS) + 1, 0
     for level in LEVELS:
-        worker = _Worker(views, model, plane, level, found, threads, walls)
+        worker = _Worker(views, model, plane, level, found, threads, walls, lamp)
         for deny in level.denials:
             progress(done, total)
             found = worker.round(found, deny)
@@ -143,7 +117,7 @@ def object_masks(
     return (
         None
         if found is None
-        else _Worker(views, model, plane, LAST, found, threads, walls).final(found)
+        else _Worker(views, model, plane, LAST, found, threads, walls, lamp).final(found)
     )
 
 
@@ -182,8 +156,10 @@ class _Worker:
         found: Found | None,
         threads: int,
         walls: list[Wall],
+        lamp: F64 | None,
     ) -> None:
         self.normal, self.offset = self.plane = plane
+        self.lamp = lamp
         self.level, self.ball, self.threads = level, model.ball, threads
         self.inner = INNER if level is LAST else 1.0
         whole = whole_shots(views, model, level.side)
@@ -258,7 +234,10 @@ class _Worker:
         inner = [grown(o, -band) for o, band in zip(outlines, self.band, strict=True)]
         clear = [~grown(o, 2 * band) for o, band in zip(outlines, self.band, strict=True)]
         table = self.table.found(self.shots, inner)
-        planes = shown_plane(table, self.shots, clear, seldom=SELDOM, blur=self.level.blur)
+        dark = None if found.shadows is None else self._parts_of(found.shadows)
+        planes = shown_plane(
+            table, self.shots, clear, seldom=SELDOM, blur=self.level.blur, shadows=dark
+        )
         told = calibrated(planes, self.shots, inner, clear)
         planes = [
             Evidence(np.where(self.table.drawn_cover(shot), before.value, now.value), now.known)
@@ -364,7 +343,18 @@ class _Worker:
             room,
             self._reach(points),
             _ball_of(points, self.cells.size),
+            self._shadows(solid),
         )
+
+    def _shadows(self, solid: Bools) -> list[Bools] | None:
+        """(h, w) for whole photos: where the solid throws the flash's shadow on the plane."""
+        if self.lamp is None:
+            return None
+        ground, out = self.table.ground, []
+        for shot in self.shots:
+            dark = shadow(self.cells, solid, shot, ground, self.lamp)
+            out.append(shot.placed(dark.astype(np.float32)) > 0.5)
+        return out
 
 
 def _sure(values: list[F32], known: list[Bools]) -> list[Bools]:

@@ -9,6 +9,7 @@ from scipy.ndimage import label
 
 from refdgs_pipe.artifacts.sparse_model import Ball
 from refdgs_pipe.camera import F64
+from refdgs_pipe.ground.plane import Ground
 from refdgs_pipe.ground.shots import Bools, Shot
 
 Ints = NDArray[np.int64]
@@ -23,6 +24,7 @@ MUCH = 0.25  # of the solid's silhouette: a photo that is sure of more is not su
 MOST = 0.06  # of the solid's cells that may come back: round a turntable photos are sure of more
 LOW = 0.06  # of the ball's radius: what lies lower is at the contact with the plane
 BARELY = 0.09  # share of the photos that can tell, which may deny a cell at the contact
+SHADOW_CELLS = 256  # along an edge of the plane, on which shadows are drawn
 PIECE = 0.03  # of the largest piece's cells: smaller ones go
 
 
@@ -253,6 +255,32 @@ def silhouette(cells: Cells, solid: Bools, shot: Shot) -> Bools:
     closed = cv2.morphologyEx(padded, cv2.MORPH_CLOSE, np.ones((2 * gap + 1,) * 2, np.uint8))
     inner = slice(2 * gap + 1, -(2 * gap + 1))
     return np.asarray(closed[inner, inner] > 0)
+
+
+def shadow(cells: Cells, solid: Bools, shot: Shot, ground: Ground, lamp: F64) -> Bools:
+    """(H, W) where a photo may show the shadow that the solid throws on the plane, and a bit more.
+
+    Args:
+        lamp: (3,) in the camera's frame.
+    """
+    place = shot.camera.center + lamp @ shot.camera.cam_from_world[:3, :3]
+    normal = np.cross(ground.a, ground.b)
+    points = cells.points[solid]
+    above, high = (points - ground.origin) @ normal, float((place - ground.origin) @ normal)
+    below = above < 0.95 * high
+    far = high / (high - above[below])
+    flat = place + far[:, None] * (points[below] - place) - ground.origin
+    x, y = (((flat @ side) / ground.radius + 1) / 2 * SHADOW_CELLS for side in (ground.a, ground.b))
+    use = (x >= 0) & (y >= 0) & (x < SHADOW_CELLS) & (y < SHADOW_CELLS)
+    picture = np.zeros((SHADOW_CELLS, SHADOW_CELLS), np.uint8)
+    if not use.any():
+        return np.zeros(shot.valid.shape, np.bool_)
+    picture[y[use].astype(int), x[use].astype(int)] = 1
+    step = 2 * ground.radius / SHADOW_CELLS
+    gap = int(np.ceil(float(far[use].max()) * cells.size / step))
+    kernel = np.ones((2 * gap + 1, 2 * gap + 1), np.uint8)
+    picture = cv2.dilate(picture, kernel)  # closes the gaps between cells, and widens by one
+    return np.asarray(ground.drawn(picture.astype(np.float32), shot.camera, 0.0) > 0.1)
 
 
 def pixels_of(length: float, shot: Shot, center: F64) -> float:

@@ -26,6 +26,7 @@ MISSES = 0.12  # share of the plane's own pixels that may be taken for something
 MOST_MISSED = 1.6  # of evidence, that the misses may take
 TYPICAL = 1.5  # evidence of the plane's own pixels, at least
 LEAST_PIXELS = 500
+DARKEST = 2.5  # of log colour, by which a shadow darkens the plane at most
 Blur = tuple[float, float]
 """Pixels (sigma) over which likeness of colour and of texture are averaged."""
 BLUR: Blur = (1.3, 1.8)
@@ -165,6 +166,7 @@ def shown_plane(
     *,
     seldom: tuple[float, float],
     blur: Blur = BLUR,
+    shadows: list[Bools] | None = None,
 ) -> list[Evidence]:
     """The evidence of all photos, so that the plane's own pixels count as seen.
 
@@ -175,10 +177,12 @@ def shown_plane(
         reference: (H, W) where each photo shows no object for sure; None takes everything.
         seldom: share of the photos that agree on a place: from nothing known to fully known.
         blur: the less, the nearer to the object's edge, and the noisier.
+        shadows: (H, W) where each photo may show the plane darker; None: nowhere.
     """
 
     def judge(i: int) -> tuple[F32, F32, F32]:
-        return _judged(shots[i], *table.drawn(i, shots[i]), blur)
+        dark = None if shadows is None else shadows[i]
+        return _judged(shots[i], *table.drawn(i, shots[i]), blur, dark)
 
     judged = mapped(judge, range(len(shots)), table.threads)
     low, high = seldom
@@ -207,15 +211,23 @@ def shown_plane(
     return out
 
 
-def _judged(shot: Shot, picture: F32, share: F32, blur: Blur) -> tuple[F32, F32, F32]:
-    """Evidence, texture and share (H, W) of one photo."""
+def _judged(
+    shot: Shot, picture: F32, share: F32, blur: Blur, dark: Bools | None = None
+) -> tuple[F32, F32, F32]:
+    """Evidence, texture and share (H, W) of one photo.
+
+    In a shadow the plane keeps its hue and its texture, and is darker.
+    """
     share = np.where(np.isfinite(picture[..., 0]), share, 0).astype(np.float32)
     picture = np.nan_to_num(picture)
     likeness = alike(shot.logs, picture)
     agree, texture = same_texture(shot.logs.mean(-1), picture.mean(-1), blur[1])
-    value = 3.5 * (smooth(likeness, blur[0]) - 0.45) + 3 * texture * np.clip(
-        agree - 0.35, -0.6, 0.6
-    )
+    textured = 3 * texture * np.clip(agree - 0.35, -0.6, 0.6)
+    value = 3.5 * (smooth(likeness, blur[0]) - 0.45) + textured
+    if dark is not None and dark.any():
+        darker = np.clip(smooth((picture - shot.logs).mean(-1), 2 * blur[1]), 0, DARKEST)
+        shaded = smooth(alike(shot.logs + darker[..., None], picture), blur[0])
+        value = np.where(dark, np.maximum(value, 3.5 * (shaded - 0.45) + textured), value)
     return value.astype(np.float32), texture, share
 
 

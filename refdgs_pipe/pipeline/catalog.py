@@ -14,6 +14,7 @@ STAGES = (
     "ingest",
     "sfm",
     "gate",
+    "lighting",
     "masks",
     "start",
     "train",

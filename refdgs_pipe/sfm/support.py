@@ -26,6 +26,11 @@ class Plane:
     offset: float
     support: int
 
+    @property
+    def at(self) -> tuple[F64, float]:
+        """The normal and the offset."""
+        return self.normal, self.offset
+
     def heights(self, points: F64) -> F64:
         """(N,) signed distances of (N, 3) points."""
         return np.asarray(points @ self.normal - self.offset)

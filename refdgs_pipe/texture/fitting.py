@@ -17,6 +17,7 @@ from refdgs_pipe.artifacts.appearance import Appearance
 from refdgs_pipe.artifacts.mesh import TriangleMesh
 from refdgs_pipe.irradiance import Sky, links_of, look_around, patches, spread
 from refdgs_pipe.light import Environment, blur, lookups
+from refdgs_pipe.texture.mean_light import MeanLight
 from refdgs_pipe.texture.sampling import Samples
 from refdgs_pipe.texture.unknowns import Batch, State, Unknown
 from refdgs_pipe.texture.view_variation import ViewVariation, smooth_step
@@ -26,6 +27,7 @@ Ints = NDArray[np.int64]
 
 # Photos are exposed so that the light around is rarely darker than this on average.
 _LEAST_LIGHT = 0.3
+_LEAST_ROOM = 0.02  # beside a flash
 # The brightest that surfaces reflect: white paint, polished silver.
 _WHITE, _SILVER = 0.8, 0.9
 _OPEN = 0.6  # what sees less of the sky says little about how bright it is
@@ -57,6 +59,7 @@ def fit(
     lift: float,
     metal: bool,
     plan: Plan | None = None,
+    mean: MeanLight | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Appearance:
     """The materials and the light under which the mesh looks as the field does.
@@ -65,6 +68,7 @@ def fit(
         light: (H, 2H, 3) first guess of the light, in any unit; H a multiple of 4.
         lift: how far above the surface rays start, world units.
         metal: whether there may be any.
+        mean: how the light moves from photo to photo; None: it stands still.
         progress: called with epochs done and in all.
 
     It works on one thread: torch splits its sums by the number of threads, and sixty epochs make
@@ -73,7 +77,8 @@ def fit(
     plan, before = plan or Plan(), torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        return _fitted(_Problem(mesh, samples, light, lift), plan, metal, progress)
+        problem = _Problem(mesh, samples, light, lift, mean or MeanLight())
+        return _fitted(problem, plan, metal, progress)
     finally:
         torch.set_num_threads(before)
 
@@ -123,8 +128,10 @@ def matte(mesh: TriangleMesh, *, lift: float) -> Appearance:
 class _Problem:
     """The samples as matrices, cut into batches of fixed membership."""
 
-    def __init__(self, mesh: TriangleMesh, samples: Samples, light: F32, lift: float) -> None:
-        self.mesh, self.samples, self.guess = mesh, samples, light
+    def __init__(
+        self, mesh: TriangleMesh, samples: Samples, light: F32, lift: float, mean: MeanLight
+    ) -> None:
+        self.mesh, self.samples, self.guess, self.mean = mesh, samples, light, mean
         self.height = len(light)
         self.blur = blur(self.height)
         self.links = links_of(mesh.faces)
@@ -140,7 +147,8 @@ class _Problem:
         parts = np.array_split(order, max(1, round(len(order) / _BATCH)))
         self.rows = [np.sort(part) for part in parts]
         self.batches = [
-            Batch.of(samples, self.near, self.corners, self.looks, rows) for rows in self.rows
+            Batch.of(samples, self.near, self.corners, self.looks, rows, mean.lighting.flash)
+            for rows in self.rows
         ]
 
     def _filled(self, values: F32) -> F32:
@@ -167,9 +175,10 @@ class _Problem:
         given, had = (self._filled(np.where(far, v, 0)) for v in (self.samples.specular, mirrored))
         share = given.mean(1) / np.maximum(had.mean(1), 1e-4)
         unit = max(
-            self._white_unit(guess),
+            self._white_unit(),
             _heavy_median(share, given.mean(1)) / _SILVER if metal else 0.0,
-            _LEAST_LIGHT / max(float(self.guess.mean()), 1e-6),
+            (_LEAST_ROOM if self.mean.white else _LEAST_LIGHT)
+            / max(float(self.guess.mean()), 1e-6),
         )
         metallic = np.clip((share / unit - 0.06) / 0.5, 0.05, 0.9) if metal else np.zeros(count)
         state = State(
@@ -182,13 +191,14 @@ class _Problem:
         )
         return self._lit(state)
 
-    def _white_unit(self, guess: Environment) -> float:
+    def _white_unit(self) -> float:
         """The factor of the guess under which hardly any diffuse colour is brighter than white."""
+        if self.mean.white:  # what a flash sheds is known
+            return 0.0
         diffuse = self._filled(self.samples.diffuse).mean(1)
         nothing = np.zeros_like(self.sent)
-        far = self.sky.received(guess, nothing).mean(1)
-        dark = Environment(np.zeros_like(self.guess))
-        near = self.sky.received(dark, self.sent).mean(1)
+        far = self.mean.received(self.guess, self.sky, nothing).mean(1)
+        near = self.mean.received(np.zeros_like(self.guess), self.sky, self.sent).mean(1)
         seen = (np.asarray(self.corners.sum(0)).reshape(-1) > 1) & (self.sky.openness > _OPEN)
         if not seen.any():
             return 0.0
@@ -197,8 +207,8 @@ class _Problem:
 
     def _lit(self, state: State) -> State:
         """The state with the light that reaches each vertex brought up to date."""
-        around = Environment(state.light.reshape(self.height, -1, 3))
-        received = self.sky.received(around, self.sent)
+        around = state.light.reshape(self.height, -1, 3)
+        received = self.mean.received(around, self.sky, self.sent)
         return replace(state, received=np.maximum(received, 1e-3))
 
     def tell_metal(self, state: State, between: tuple[float, float]) -> State:
@@ -218,6 +228,8 @@ class _Problem:
 
         What is no metal keeps the field's colours, whose split is known.
         """
+        if self.samples.glint is not None:  # they show what the field does already
+            return state
         metal = np.asarray(self.corners @ state.metallic, np.float32)[:, None] > 0.5
         wanted = np.where(metal, self.samples.photo, self.samples.radiance)
         pairs = zip(self.rows, self.batches, strict=True)
@@ -259,6 +271,8 @@ class _Problem:
         A metal's reflectance is not known beforehand. But least squares only ever takes it for too
         rough, so there the smoother of both counts.
         """
+        if self.samples.glint is not None:  # the width of the lamp's highlights tells it
+            return self._lit(state)
         light, variation = self._variation(state)
         found = variation.roughness(light, state.metallic, state.tint)
         smoother = np.minimum(state.roughness, found)
@@ -296,6 +310,8 @@ class _Problem:
             received=state.received,
             openness=self.sky.openness,
             environment=state.light.reshape(self.height, -1, 3),
+            lighting=self.mean.lighting,
+            white=self.mean.white,
         )
 
 

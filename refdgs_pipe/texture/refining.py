@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, vstack
 
+from refdgs_pipe.artifacts.appearance import Appearance
 from refdgs_pipe.artifacts.mesh import UvMesh
 from refdgs_pipe.artifacts.photos import Photo
 from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
@@ -66,16 +67,14 @@ class Refiner:
     """Takes one photo after another, and then corrects the base colours.
 
     Args:
-        textured: the asset; environment: its light, as `Relit` has them.
+        relit: the asset's renderer in its light; textured: the asset.
         near: rays of one pixel whose depths differ by more meet two parts, world units.
         photos: how many there will be.
     """
 
-    def __init__(
-        self, textured: TexturedMesh, environment: F32, *, near: float, photos: int
-    ) -> None:
+    def __init__(self, textured: TexturedMesh, relit: Relit, *, near: float, photos: int) -> None:
         self.textured, self.near = textured, near
-        self._relit = Relit(textured, environment)
+        self._relit = relit
         self._most = int(_PER_TEXEL * textured.size**2 / max(1, photos))
         self._parts: list[Pixels] = []
 
@@ -84,7 +83,7 @@ class Refiner:
         found, uv, centre, rays = self._under(photo)
         if not len(found):
             return 0
-        seen = self._relit.surface(centre, -rays)
+        seen = self._relit.under(photo.camera).surface(centre, -rays)
         matte = seen.here.base * (1 - seen.here.metallic) * seen.received
         share = matte.mean(1) / np.maximum((matte + seen.mirrored).mean(1), 1e-4)
         trust = (1 - seen.here.metallic[:, 0]) ** 2 * share * (seen.cosine > _LEAST_COSINE)
@@ -141,7 +140,7 @@ class Refiner:
 
 def refined(
     textured: TexturedMesh,
-    environment: F32,
+    looks: Appearance,
     photos: Iterable[Photo],
     *,
     near: float,
@@ -150,11 +149,13 @@ def refined(
     """The asset with base colours that look as the photos do in its light.
 
     Args:
-        environment: (H, 2H, 3) linear radiance.
+        looks: its light.
         near: rays of one pixel whose depths differ by more meet two parts, world units.
         count: of the photos.
     """
-    refiner = Refiner(textured, environment, near=near, photos=count)
+    assert looks.environment is not None
+    relit = Relit(textured, looks.environment, lighting=looks.lighting, white=looks.white)
+    refiner = Refiner(textured, relit, near=near, photos=count)
     for photo in photos:
         refiner.add(photo)
     return refiner.refined()

@@ -15,6 +15,7 @@ from refdgs_pipe.irradiance import links_of, spread
 from refdgs_pipe.ray_casting import Solid, at_hits
 
 F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
 Ints = NDArray[np.int64]
 _MIN_ALPHA = 0.9
 _MIN_COSINE = 0.1
@@ -29,7 +30,7 @@ class Samples:
     Args:
         face: (N,) of the mesh; weights: (N, 3) of its corners.
         cosine: (N,) between the normal and the way to the eye.
-        mirrored: (N, 3) unit, where the mirrored ray goes.
+        mirrored: (N, 3) unit, where the mirrored ray goes, where far light stands still.
         near_face: (N,) the face that it meets, -1 for none; near_weights: (N, 3).
         diffuse, specular: (N, 3) linear radiance, as the field splits it.
         photo: (N, 3) linear radiance in the photo, clipped at white; the field's where no photo
@@ -37,6 +38,9 @@ class Samples:
         roughness: (N,) as the field has it.
         footprint: (N,) the square of the GGX alpha that the normals within a pixel of the photo
             make up, see `seen_roughness`.
+        glint: (N, 4) of a lamp on the camera: cosines between normal and half vector, normal and
+            lamp, lamp and half vector, and the squared inverse distance; None without one. Then
+            `specular` is without the lamp's highlight and `photo` is the field's, with it.
     """
 
     face: Ints
@@ -50,11 +54,25 @@ class Samples:
     photo: F32
     roughness: F32
     footprint: F32
+    glint: F32 | None = None
 
     @property
     def radiance(self) -> F32:
         """(N, 3) what the eye gets, linear."""
         return self.diffuse + self.specular
+
+
+@dataclass(frozen=True)
+class Shone:
+    """A view under a lamp on the camera.
+
+    Args:
+        place: (3,) of the lamp, world.
+        radiance: (H, W, 3) linear, what the view shows with the lamp's highlights.
+    """
+
+    place: F32
+    radiance: F32
 
 
 class Sampler:
@@ -77,18 +95,27 @@ class Sampler:
         longest = max(256, int(3 * float(np.sqrt(self.per_view))))
         return min(1.0, longest / max(camera.width, camera.height))
 
-    def add(self, view: SurfaceMap, *, photo: F32 | None = None, focal: float | None = None) -> int:
+    def add(
+        self,
+        view: SurfaceMap,
+        *,
+        photo: F32 | None = None,
+        focal: float | None = None,
+        turn: F64 | None = None,
+        lamp: Shone | None = None,
+    ) -> int:
         """Take what one view shows; gives how many of its pixels were taken.
 
         Args:
             photo: (H, W, 3) sRGB of the view's size, NaN where it does not show the object alone.
             focal: of the photo that the field learnt this from, pixels; None: as the view's.
+            turn: (3, 3) rotation to where far light stands still; None: in the world.
+            lamp: on the camera; None without one.
         """
         camera = view.camera
         solid = np.flatnonzero((view.alpha.reshape(-1) >= _MIN_ALPHA) & (view.depth.ravel() > 0))
         chance = np.random.default_rng(len(self._parts))
-        pixels = chance.permutation(solid)[: 2 * self.per_view]
-        if not len(pixels):
+        if not len(pixels := chance.permutation(solid)[: 2 * self.per_view]):
             return 0
         rays = camera.pixel_rays().reshape(-1, 3)[pixels] @ camera.cam_from_world[:3, :3]
         hits = self._solid.first(camera.center.astype(np.float32), rays.astype(np.float32))
@@ -107,12 +134,11 @@ class Sampler:
         pixel = hits.distance[good] / np.float32(focal or camera.K[0, 0])
         bent = at_hits(self._bent, mesh.faces, face, weights)[:, 0]
         diffuse, specular = (of.reshape(-1, 3)[rows] for of in (view.diffuse, view.specular))
-        seen = diffuse + specular
-        if photo is not None:
-            there = linear_from_srgb(photo.reshape(-1, 3)[rows])
-            there *= _exposure(there, seen)
-            seen = np.where(np.isfinite(there), there, seen)
+        seen = _shown(diffuse + specular, rows, photo, lamp)
+        points = at_hits(mesh.vertices, mesh.faces, face, weights)
+        glint = None if lamp is None else _glint(lamp.place - points, normal[good], toward[good])
         near_face, near_weights = self._mirror(face, weights, mirrored.astype(np.float32))
+        mirrored = mirrored if turn is None else mirrored @ turn.T
         self._parts.append(
             Samples(
                 face,
@@ -126,6 +152,7 @@ class Sampler:
                 np.clip(seen, 0, 1).astype(np.float32),
                 view.roughness.reshape(-1)[rows],
                 (2 * bent * pixel**2 / 12).astype(np.float32),
+                glint,
             )
         )
         return len(rows)
@@ -154,9 +181,40 @@ class Sampler:
                 "together. Run extract again, or drop the adopted mesh"
             )
         fields = Samples.__dataclass_fields__
-        return Samples(
-            **{name: np.concatenate([getattr(p, name) for p in self._parts]) for name in fields}
-        )
+        columns: dict[str, Any] = {}
+        for name in fields:
+            parts = [getattr(part, name) for part in self._parts]
+            columns[name] = None if parts[0] is None else np.concatenate(parts)
+        return Samples(**columns)
+
+
+def _shown(field: F32, rows: Ints, photo: F32 | None, lamp: Shone | None) -> F32:
+    """(N, 3) linear radiance in the photo, made as bright as the field's, or in a lamp's view.
+
+    Args:
+        field: (N, 3) what the field shows at the pixels `rows` (N,).
+    """
+    if lamp is not None:
+        return np.asarray(lamp.radiance.reshape(-1, 3)[rows], np.float32)
+    if photo is None:
+        return field
+    there = linear_from_srgb(photo.reshape(-1, 3)[rows])
+    there *= _exposure(there, field)
+    return np.where(np.isfinite(there), there, field)
+
+
+def _glint(towards: F32, normal: F32, toward: F32) -> F32:
+    """(N, 4) `Samples.glint` of places with unit normals (N, 3).
+
+    Args:
+        towards: (N, 3) to the lamp, world units; toward: (N, 3) unit, to the eye.
+    """
+    square = (towards**2).sum(1, keepdims=True)
+    light = towards / np.sqrt(square)
+    half = light + toward
+    half /= np.linalg.norm(half, axis=1, keepdims=True)
+    cosines = [(normal * half).sum(1), (normal * light).sum(1), (light * half).sum(1)]
+    return np.column_stack([*cosines, 1 / square[:, 0]]).astype(np.float32)
 
 
 def _exposure(photo: F32, field: F32) -> np.float32:

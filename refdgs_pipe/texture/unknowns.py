@@ -9,6 +9,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from refdgs_pipe.artifacts.lighting import Flash
+from refdgs_pipe.lamp import highlight
 from refdgs_pipe.light import (
     DIELECTRIC,
     ROUGHNESSES,
@@ -125,10 +127,18 @@ class Batch:
     is_far: Tensor
     footprint: Tensor
     target: Tensor
+    glint: Tensor | None = None
+    shade: Tensor | None = None
 
     @classmethod
     def of(
-        cls, samples: Samples, near: F32, corners: Any, looks: Sequence[Any], rows: Ints
+        cls,
+        samples: Samples,
+        near: F32,
+        corners: Any,
+        looks: Sequence[Any],
+        rows: Ints,
+        flash: Flash | None = None,
     ) -> "Batch":
         """Some rows of the samples, as the field shows them.
 
@@ -136,6 +146,7 @@ class Batch:
             near: (N, 3) radiance that mirrored rays meet on the mesh.
             corners: sparse (N, V), from vertices to samples; looks: one matrix (N, texels) for
                 every level of the light.
+            flash: of samples with a `glint`.
         """
 
         def tensor(values: NDArray[Any]) -> Tensor:
@@ -149,7 +160,8 @@ class Batch:
             tensor(near[rows]),
             tensor(samples.near_face[rows, None] < 0),
             tensor(samples.footprint[rows, None]),
-            _encoded(tensor(samples.radiance[rows])),
+            _encoded(tensor((samples.radiance if samples.glint is None else samples.photo)[rows])),
+            *_under(flash, None if samples.glint is None else tensor(samples.glint[rows])),
         )
 
     def showing(self, radiance: F32) -> "Batch":
@@ -172,7 +184,26 @@ class Batch:
         f0 = DIELECTRIC * (1 - metal) + base * metal
         mirrored = (far * self.is_far + self.near) * (f0 * scale + offset)
         scattered = base * (1 - metal) * passed_share(rough, self.cosine)
-        return _encoded(scattered * received + mirrored)
+        if self.glint is None or self.shade is None:
+            return _encoded(scattered * received + mirrored)
+        n_h, n_l, l_h, lit = (self.glint[:, i : i + 1] for i in range(4))
+        lobe = highlight(n_h, n_l, l_h, self.cosine, f0, seen)
+        return _encoded(received * (scattered * self.shade + lit * lobe) + mirrored)
+
+
+def _under(flash: Flash | None, glint: Tensor | None) -> tuple[Tensor | None, Tensor | None]:
+    """Cosines (n, 3) and irradiance (n,) of `highlight`, and the factor (n, 1) of diffuse light.
+
+    Both for a white matte surface that shows 1 at the lamp's distance.
+
+    Args:
+        glint: (n, 4) of `Samples`.
+    """
+    if flash is None or glint is None:
+        return None, None
+    n_h, n_l, l_h, inverse = (glint[:, i : i + 1].clamp(min=0) for i in range(4))
+    shed = (1 - flash.room) * n_l * inverse * flash.distance**2
+    return torch.cat([n_h.clamp(max=1), n_l, l_h, torch.pi * shed], 1), flash.room + shed
 
 
 @dataclass(frozen=True)

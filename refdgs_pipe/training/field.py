@@ -7,6 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from refdgs_pipe.artifacts.lighting import WORLD, Lighting
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.start import RawSet, Start
 from refdgs_pipe.artifacts.surfel_field import ShaderModel, SurfelField, SurfelSet
@@ -14,6 +15,7 @@ from refdgs_pipe.ops import Pinhole
 from refdgs_pipe.ops.cuda import sent
 from refdgs_pipe.training.exposure import Exposures
 from refdgs_pipe.training.ground import Surroundings
+from refdgs_pipe.training.moving_light import moving
 from refdgs_pipe.training.photos import TrainingPhoto
 from refdgs_pipe.training.poses import Poses
 from refdgs_pipe.training.reflection import Shader
@@ -45,6 +47,7 @@ class TrainableField:
         masked: the photos' background is removed, and needs no surfels.
         device: where the surfels and the shader are.
         refined: the photos' poses are corrected.
+        lighting: how the light moves; None: it stands still.
     """
 
     def __init__(
@@ -58,8 +61,11 @@ class TrainableField:
         near: float,
         device: str = "cpu",
         refined: bool = False,
+        lighting: Lighting | None = None,
     ) -> None:
         self.params, self.near, self.device = params, near, device
+        self.light = moving(lighting, device)
+        self.light_optimizer = [] if self.light is None else [self.light.optimizer()]
         self.around = Surroundings(model, ground=start.ground == "background" and not masked)
         # Without masks nothing but reflections holds a mirror's surface in place from the start.
         self.reflect_from = params.reflect_from if masked else 0.0
@@ -106,12 +112,17 @@ class TrainableField:
         with torch.random.fork_rng(devices=[]):
             torch.set_rng_state(self.random)
             shader = Shader(
-                p.environment_height, p.local, p.mixing, p.physical, half=start.bfloat16
+                p.environment_height,
+                p.local,
+                p.mixing,
+                p.physical,
+                half=start.bfloat16,
+                flash=self.light is not None and self.light.lighting.kind == "flash",
             )
             self.random = torch.get_rng_state()
         self.shader = shader.to(self.device)
         groups = [
-            {"params": [self.shader.environment], "lr": p.rate_environment},
+            {"params": self.shader.maps(), "lr": p.rate_environment},
             {"params": [*self.shader.weights, *self.shader.biases], "lr": p.rate_shader},
         ]
         self.shader_optimizer = [torch.optim.Adam(groups, eps=1e-15, fused=True)]
@@ -185,6 +196,7 @@ class TrainableField:
             background=None if self.background is None else self.background.surfels(),
             background_rgb=background_rgb,
             shader=self.shader if with_shader else None,
+            light=self.light,
         )
 
     def observe(self, picture: Picture, width: int, misfit: Tensor | None = None) -> None:
@@ -220,7 +232,7 @@ class TrainableField:
 
     def _modules(self) -> list[torch.optim.Adam]:
         fitted = [] if self.exposures is None else [self.exposures.optimizer]
-        return self.shader_optimizer + fitted
+        return self.shader_optimizer + fitted + self.light_optimizer
 
     def statistics(self) -> list[Tensor]:
         """What `observe` adds to."""
@@ -294,11 +306,11 @@ class TrainableField:
             out |= {f"exposures/{k}": v for k, v in self.exposures.state().items()}
         if self.poses is not None:
             out |= {f"poses/{k}": v for k, v in self.poses.state().items()}
-        if self.shader is not None:
-            moments = self.shader_optimizer[0].state
-            for k, v in self.shader.named_parameters():
-                out[f"shader/{k}"] = v.detach()
-                out |= {f"shader-adam/{k}/{m}": x for m, x in moments.get(v, {}).items()}
+        for name, module, optimizer in self._named_modules():
+            for k, v in module.named_parameters():
+                out[f"{name}/{k}"] = v.detach()
+                moments = optimizer.state.get(v, {})
+                out |= {f"{name}-adam/{k}/{m}": x for m, x in moments.items()}
         return out
 
     def restore(self, state: dict[str, Tensor]) -> None:
@@ -309,15 +321,22 @@ class TrainableField:
             self.exposures.restore(_below("exposures/", state))
         if self.poses is not None:
             self.poses.restore(_below("poses/", state))
-        if self.shader is None:
-            return
         with torch.no_grad():
-            for k, v in self.shader.named_parameters():
-                v.copy_(state[f"shader/{k}"])
-                given = _below(f"shader-adam/{k}/", state)
-                moments = {n: t.to(v.device, copy=True) for n, t in given.items()}
-                if moments:
-                    self.shader_optimizer[0].state[v] = moments
+            for name, module, optimizer in self._named_modules():
+                for k, v in module.named_parameters():
+                    v.copy_(state[f"{name}/{k}"])
+                    given = _below(f"{name}-adam/{k}/", state)
+                    moments = {n: t.to(v.device, copy=True) for n, t in given.items()}
+                    if moments:
+                        optimizer.state[v] = moments
+
+    def _named_modules(self) -> list[tuple[str, torch.nn.Module, torch.optim.Adam]]:
+        named: list[tuple[str, torch.nn.Module, torch.optim.Adam]] = []
+        if self.shader is not None:
+            named.append(("shader", self.shader, self.shader_optimizer[0]))
+        if self.light is not None:
+            named.append(("light", self.light, self.light_optimizer[0]))
+        return named
 
     def freeze(self) -> SurfelField:
         """The field as an artifact."""
@@ -333,11 +352,14 @@ class TrainableField:
             environment=empty((0, 0, 4), np.float32) if s is None else array(s.environment),
             weights=() if s is None else tuple(array(w) for w in s.weights),
             biases=() if s is None else tuple(array(b) for b in s.biases),
+            flash=None if s is None or len(s.maps()) == 1 else array(s.maps()[1]),
         )
         local = nothing if self.local is None else self.local.freeze()
         background = nothing if self.background is None else self.background.freeze()
         poses = {} if self.poses is None else self.poses.found()
-        return SurfelField(self.geometry.freeze(), local, background, model, self.near, poses)
+        light = WORLD if self.light is None else self.light.freeze()
+        geometry = self.geometry.freeze()
+        return SurfelField(geometry, local, background, model, self.near, poses, lighting=light)
 
 
 def _tensors(raw: RawSet) -> dict[str, Tensor]:

@@ -8,6 +8,7 @@ from refdgs_pipe.artifacts.surface_map import SurfaceMap
 from refdgs_pipe.artifacts.surfel_field import SurfelField, SurfelSet
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.ops import Pinhole, Surfels
+from refdgs_pipe.training.moving_light import moving
 from refdgs_pipe.training.reflection import Shader
 from refdgs_pipe.training.shading import Picture, Scene, draw, sh_color
 
@@ -16,16 +17,24 @@ SURFACE_ALPHA = 0.05
 
 
 def render_surface_map(
-    field: SurfelField, camera: Camera, *, device: str = "cpu", threads: int | None = None
+    field: SurfelField,
+    camera: Camera,
+    *,
+    device: str = "cpu",
+    threads: int | None = None,
+    lamp: bool = True,
 ) -> SurfaceMap:
     """What the camera sees of the object, over black, without the background surfels' colour.
 
     Background surfels still hide what is behind them.
 
+    Args:
+        lamp: whether the picture of a flash is mirrored.
+
     Raises:
         DeviceError: this build has no kernels for the device.
     """
-    picture = _picture(field, camera, (0.0, 0.0, 0.0), device, threads)
+    picture = _picture(field, camera, (0.0, 0.0, 0.0), device, threads, lamp)
     alpha = picture.object_alpha
     there = alpha > SURFACE_ALPHA
     return SurfaceMap(
@@ -58,6 +67,7 @@ def _picture(
     backdrop: tuple[float, float, float],
     device: str,
     threads: int | None,
+    lamp: bool = True,
 ) -> Picture:
     before = torch.get_num_threads()
     torch.set_num_threads(threads or before)
@@ -65,7 +75,7 @@ def _picture(
         with torch.no_grad():
             scene = _scene(field, camera, device)
             color = torch.tensor(backdrop, device=device)
-            return draw(scene, Pinhole.of(camera, field.near), color)
+            return draw(scene, Pinhole.of(camera, field.near), color, lamp=lamp)
     finally:
         torch.set_num_threads(before)
 
@@ -89,6 +99,7 @@ def _scene(field: SurfelField, camera: Camera, device: str) -> Scene:
         background=_surfels(background, device) if len(background) else None,
         background_rgb=rgb,
         shader=shader_of(field, device),
+        light=moving(field.lighting, device),
     )
 
 
@@ -106,9 +117,13 @@ def shader_of(field: SurfelField, device: str) -> Shader | None:
     model = field.shader
     if not model.reflection:
         return None
-    shader = Shader(len(model.environment), model.local, model.mixing, model.physical).to(device)
+    flash = model.flash is not None
+    height = len(model.environment)
+    shader = Shader(height, model.local, model.mixing, model.physical, flash=flash).to(device)
     with torch.no_grad():
-        shader.environment.copy_(torch.from_numpy(model.environment))
+        tables = [model.environment, *([] if model.flash is None else [model.flash])]
+        for own, table in zip(shader.maps(), tables, strict=True):
+            own.copy_(torch.from_numpy(table))
         for target, value in zip(
             [*shader.weights, *shader.biases], [*model.weights, *model.biases], strict=True
         ):

@@ -17,6 +17,7 @@ from refdgs_pipe.ops import (
     shading_inputs,
 )
 from refdgs_pipe.ops.scene import Extra
+from refdgs_pipe.training.moving_light import MovingLight, in_camera
 from refdgs_pipe.training.reflection import Shader, specular
 
 SHADED_ALPHA = 0.05  # thinner pixels show no object
@@ -33,6 +34,7 @@ class Scene:
         local: with local_features (M, 4); None when there is none (yet).
         background: with background_rgb (B, 3), sRGB, seen from this camera; None when removed.
         shader: None for a matte field.
+        light: None where it stands still with the object.
     """
 
     geometry: Surfels
@@ -44,6 +46,7 @@ class Scene:
     background: Surfels | None
     background_rgb: Tensor | None
     shader: Shader | None
+    light: MovingLight | None = None
 
 
 @dataclass(frozen=True)
@@ -55,7 +58,8 @@ class Picture:
         maps: of geometry and, with a background set, of everything in front of infinity.
         object_alpha: (H, W) of the object alone.
         pixels: (P,) of `covered_pixels`, which were shaded; there carried diffuse (P, 3) and
-            roughness (P,), and radiance (P, 3), linear.
+            roughness (P,), and radiance (P, 3), linear. Where light moves, diffuse is what the
+            surface sends under the mean of it.
         local_statistics: of the local reflection surfels, if there were any.
     """
 
@@ -147,16 +151,16 @@ def draw(
     backdrop: Tensor,
     *,
     extra: Extra = "depth",
-    turntable: bool = False,
     turn_share: float = 0.0,
+    lamp: bool = True,
     plan: Plan | None = None,
 ) -> Picture:
     """Render one view (method: Ref-DGS; colour = diffuse + specular, deferred per pixel).
 
     Args:
         backdrop: (3,) sRGB colour behind everything.
-        turntable: the light is fixed to the camera, not to the world.
         turn_share: see `TrainParams`.
+        lamp: whether a flash is mirrored; what it sheds on matte surfaces stays.
         plan: room for a GPU's lists; without it, the GPU is waited for.
     """
     surfels, values = _concatenated(scene)
@@ -173,18 +177,37 @@ def draw(
     diffuse, roughness, reflected, cosine, near = shading_inputs(
         maps.features, object_alpha, maps.normal, near, pixels, camera
     )
-    if turntable:
-        reflected = reflected @ camera.cam_from_world[:3, :3].T.to(reflected)
+    lit = diffuse if scene.light is None else diffuse * scene.light.shade(maps, pixels, camera)
     if scene.shader is None:
         radiance = diffuse.new_zeros(len(pixels), 3)
     else:
-        radiance = specular(scene.shader, reflected, roughness, cosine, near, limit)
+        radiance = _mirrored(scene, camera, reflected, roughness, cosine, near, limit, lamp)
         if turn_share > 0 and reflected.requires_grad:
-            trust = _share(radiance.detach(), diffuse.detach()).div(turn_share).clamp(max=1.0)
+            trust = _share(radiance.detach(), lit.detach()).div(turn_share).clamp(max=1.0)
             reflected.register_hook(lambda grad: grad * trust)  # type: ignore[no-untyped-call]
-    image = composite(diffuse, radiance, pixels, object_alpha, maps.alpha, backdrop, behind)
+    image = composite(lit, radiance, pixels, object_alpha, maps.alpha, backdrop, behind)
     carried = (diffuse, roughness)
     return Picture(image, maps, object_alpha, pixels, carried, radiance, local_statistics)
+
+
+def _mirrored(
+    scene: Scene,
+    camera: Pinhole,
+    reflected: Tensor,
+    roughness: Tensor,
+    cosine: Tensor,
+    near: Tensor | None,
+    limit: Tensor | None,
+    lamp: bool,
+) -> Tensor:
+    """(P, 3) specular radiance, looked up in the frame where the light stands still."""
+    assert scene.shader is not None
+    there = None
+    if scene.light is not None:
+        turn = scene.light.light_from_world(camera)
+        there = in_camera(reflected, camera) if lamp else None
+        reflected = reflected if turn is None else reflected @ turn.T
+    return specular(scene.shader, reflected, roughness, cosine, near, limit, from_camera=there)
 
 
 def _share(radiance: Tensor, diffuse: Tensor) -> Tensor:

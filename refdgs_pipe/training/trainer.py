@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from refdgs_pipe.artifacts.checkpoint import Checkpoint
+from refdgs_pipe.artifacts.lighting import WORLD, Lighting
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.start import Start
 from refdgs_pipe.artifacts.surfel_field import SurfelField
@@ -62,6 +63,7 @@ class Trainer:
     Args:
         start: where the run began.
         after: what the first part ended with; None: this is the first part.
+        lighting: how the light moves.
         renewal: what surfels start anew on, and how, when the second part begins.
         device: where the steps are computed, "cpu" or "cuda"; results are on the CPU.
         cuda_graph: whether recorded steps are repeated on a GPU: always (or an error), never, or
@@ -81,6 +83,7 @@ class Trainer:
         params: TrainParams,
         scratch: Path,
         *,
+        lighting: Lighting = WORLD,
         after: Checkpoint | None = None,
         renewal: Renewal | None = None,
         device: str = "cpu",
@@ -109,6 +112,7 @@ class Trainer:
             near=near,
             device=device,
             refined=refined,
+            lighting=lighting,
         )
         if self.field.exposures is not None:
             photos = numbered(photos)

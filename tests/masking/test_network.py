@@ -19,6 +19,7 @@ from networks import BRIGHT, HALF, MEAN, brighter_than, constant, steps, whole, 
 from onnx import TensorProto, helper
 from stage_runs import Run
 
+from refdgs_pipe.artifacts.lighting import WORLD
 from refdgs_pipe.artifacts.sparse_model import Ball, SparseModel
 from refdgs_pipe.artifacts.views import Exif, View, Views
 from refdgs_pipe.camera import Camera, Lens
@@ -104,16 +105,16 @@ def test_the_stage_writes_them_and_says_who_made_them(capture: Capture, tmp_path
     made = network(tmp_path / "mine.onnx", brighter_than(HALF))
     settings = {"model": str(made.file), "model_digest": made.digest, "model_input": "0..1"}
     run = Run(tmp_path)
-    masks = run("masks", views, model, **settings)
+    masks = run("masks", views, model, WORLD, **settings)
     assert (masks.kind, masks.names) == ("network", tuple(model.names))
     assert run.measured("masks")["network"] == "mine.onnx"
     for name, true in zip(masks.names, truth, strict=True):
         np.testing.assert_array_equal(read_png(masks.path(name)), 255 * true)
     assert run.warnings() == []
-    own = run("masks", replace(views, background="masked"), model, **settings)
+    own = run("masks", replace(views, background="masked"), model, WORLD, **settings)
     assert (own.kind, own.names) == ("given", ())
     assert "was not asked" in run.warnings()[0]
-    assert run("masks", views, model, find="off", **settings).kind == "none"
+    assert run("masks", views, model, WORLD, find="off", **settings).kind == "none"
 
 
 def fed(side: int = 32) -> np.ndarray:

@@ -17,6 +17,14 @@ from training_runs import Settings, trainer_of
 
 from refdgs_pipe import recipe
 from refdgs_pipe.artifacts.checkpoint import Checkpoint
+from refdgs_pipe.artifacts.lighting import (
+    BANDS,
+    WORLD,
+    Flash,
+    Lighting,
+    Ring,
+    Turntable,
+)
 from refdgs_pipe.artifacts.shape import Shape
 from refdgs_pipe.artifacts.start import Start
 from refdgs_pipe.artifacts.surfel_field import SurfelField
@@ -88,6 +96,7 @@ class Stages:
     def __init__(self, folder: Path, settings: Settings, *, masked: bool) -> None:
         self.folder, self.settings, self.told = folder, settings, list[Event]()
         self.views, self.model = capture(folder / "views", size=32, masked=masked)
+        self.lighting = WORLD
 
     def __call__(self, name: str, params: Any, *inputs: Artifact) -> Any:
         stage = getattr(import_module(f"refdgs_pipe.stages.{name}"), name)
@@ -101,9 +110,11 @@ class Stages:
     def field(self, change: Callable[[Shape], Shape] = lambda shape: shape) -> SurfelField:
         photos = (self.views, NO_MASKS, self.model)
         start: Start = self("start", self.settings.start, *photos)
-        before: Checkpoint = self("train", self.settings.train, *photos, start)
+        before: Checkpoint = self("train", self.settings.train, *photos, self.lighting, start)
         shape: Shape = change(self("shape", stage_params("shape"), before, self.model))
-        found: SurfelField = self("refine", self.settings.refine, *photos, start, before, shape)
+        found: SurfelField = self(
+            "refine", self.settings.refine, *photos, self.lighting, start, before, shape
+        )
         return found
 
     def warnings(self) -> list[str]:
@@ -115,6 +126,21 @@ def stage_params(name: str) -> Any:
 
 
 FEW = SMALL.but(iterations=24, surfels=300, local_surfels=80, densify_every=6, look_steps=12)
+
+
+LIGHTS = {
+    "world": WORLD,
+    "turntable": Lighting(
+        "turntable",
+        turntable=Turntable(
+            np.zeros(3),
+            np.array([0.0, 0, 1]),
+            (Ring(1.0, 3.0), Ring(2.0, 2.0)),
+            np.zeros((BANDS, 3)),
+        ),
+    ),
+    "flash": Lighting("flash", flash=Flash(np.array([0.0, -0.2, 0]), 3.0, 0.2)),
+}
 
 
 def assert_equal(one: SurfelField, other: SurfelField) -> None:
@@ -136,22 +162,32 @@ def assert_equal(one: SurfelField, other: SurfelField) -> None:
         ({}, True),
         ({"patience": 0.1, "patience_tolerance": 10.0, "coarse_until": 0.1}, True),
         ({"exposure": "fitted", "poses": "refined", "ground": "object"}, False),
+        ({"light": "turntable"}, True),
+        ({"light": "flash"}, True),
     ],
 )
 def test_training_in_two_stages_ends_in_the_same_bits_as_in_one(
     tmp_path: Path, changed: dict[str, Any], masked: bool
 ) -> None:
     """Without a mesh to start anew on, the second part only goes on."""
+    changed = dict(changed)
+    light = LIGHTS[changed.pop("light", "world")]
     settings = FEW.but(**changed, renew_at=0.6)
     stages = Stages(tmp_path, settings, masked=masked)
+    stages.lighting = light
     if "poses" in changed:  # they are refined if they were found
         found = tuple(replace(view, known=None) for view in stages.views.items)
         stages.views = replace(stages.views, items=found)
     parts = stages.field(lambda shape: Shape(None, "none was asked for"))
     assert stages.warnings()[0].endswith("none was asked for")
     at_once = settings.but(renew_at=1.0)
-    whole = trainer_of(stages.views, stages.model, at_once, tmp_path / "whole").run(quiet)
+    whole = trainer_of(stages.views, stages.model, at_once, tmp_path / "whole", lighting=light).run(
+        quiet
+    )
     assert_equal(parts, whole)
+    assert parts.lighting.record() == whole.lighting.record()
+    if light.kind != "world":  # it was fitted
+        assert parts.lighting.record() != light.record()
     steps = [event.step for event in stages.told if isinstance(event, Sampled)]
     assert steps == sorted(set(steps)) and len(steps) >= 3
 
@@ -214,5 +250,5 @@ def test_the_settings_of_a_checkpoint_are_all_of_them(tmp_path: Path) -> None:
     stages = Stages(tmp_path, FEW.but(iterations=3, renew_at=0.5), masked=True)
     start = stages("start", stages.settings.start, stages.views, NO_MASKS, stages.model)
     photos = (stages.views, NO_MASKS, stages.model)
-    before = stages("train", stages.settings.train, *photos, start)
+    before = stages("train", stages.settings.train, *photos, WORLD, start)
     assert TrainParams.model_validate(before.settings) == stages.settings.train

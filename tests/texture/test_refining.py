@@ -85,7 +85,7 @@ def true() -> TexturedMesh:
 @pytest.fixture(scope="module")
 def refined(true: TexturedMesh) -> TexturedMesh:
     """Of an asset that is too dark, by photos of the right one."""
-    refiner = Refiner(dimmed(true), SKY, near=0.05, photos=len(CAMERAS))
+    refiner = Refiner(dimmed(true), Relit(dimmed(true), SKY), near=0.05, photos=len(CAMERAS))
     for photo in photos(Relit(true, SKY)):
         assert refiner.add(photo)
     return refiner.refined()
@@ -124,7 +124,7 @@ def test_metals_and_other_textures_stay(true: TexturedMesh, refined: TexturedMes
 
 
 def test_without_a_pixel_that_tells_anything_nothing_changes(true: TexturedMesh) -> None:
-    refiner = Refiner(true, SKY, near=0.05, photos=1)
+    refiner = Refiner(true, Relit(true, SKY), near=0.05, photos=1)
     dark = np.zeros((64, 64), np.float32)
     white = Photo(CAMERAS[0], np.ones((64, 64, 3), np.float32), dark, dark == 0)
     assert refiner.add(white) == 0

@@ -41,7 +41,7 @@ def corrected(request: pytest.FixtureRequest, painted: TexturedMesh) -> Textured
     matte = replace(painted, metallic=np.zeros_like(painted.metallic))
     dark = replace(matte, base_color=(0.75 * matte.base_color).astype(np.uint16))
     sky = np.full((16, 32, 3), 0.8, np.float32)
-    right, refiner = Relit(matte, sky), Refiner(dark, sky, near=0.05, photos=count)
+    right, refiner = Relit(matte, sky), Refiner(dark, Relit(dark, sky), near=0.05, photos=count)
     for camera in orbit(count, size=side, focal=1.5 * side):
         rgb, alpha = right.draw(camera)
         refiner.add(Photo(camera, rgb, alpha, np.ones(alpha.shape, bool)))

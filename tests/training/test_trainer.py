@@ -15,6 +15,7 @@ from scenes import glossy_pair, orbit
 from stage_runs import NO_MASKS
 from training_runs import Settings, trainer_of
 
+from refdgs_pipe.artifacts.lighting import WORLD
 from refdgs_pipe.artifacts.sparse_model import Ball, SparseModel
 from refdgs_pipe.artifacts.surfel_field import SurfelField, SurfelSet
 from refdgs_pipe.artifacts.views import Exif, KnownPose, View, Views
@@ -369,7 +370,7 @@ def test_the_stage_tells_figures_as_data_and_in_words(tmp_path: Path) -> None:
     stage, told = import_module("refdgs_pipe.stages.train").train, list[Event]()
     (tmp_path / "scratch").mkdir()
     job = Job("train", tmp_path, tmp_path / "scratch", "cpu", 1, told.append)
-    stage.run(views, NO_MASKS, model, begun.start, few.train, job)
+    stage.run(views, NO_MASKS, model, WORLD, begun.start, few.train, job)
     samples = [event for event in told if isinstance(event, Sampled)]
     assert [(event.step, event.steps) for event in samples] == [(10, 20), (20, 20)]
     last = samples[-1].figures
