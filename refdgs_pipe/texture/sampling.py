@@ -128,8 +128,7 @@ class Sampler:
         if not len(good):
             return 0
         good = good[rows[good].argsort()]
-        mesh = self.mesh
-        rows, face, weights = rows[good], hits.face[good], hits.weights[good]
+        mesh, rows, face, weights = self.mesh, rows[good], hits.face[good], hits.weights[good]
         mirrored = 2 * cosine[good, None] * normal[good] - toward[good]
         pixel = hits.distance[good] / np.float32(focal or camera.K[0, 0])
         bent = at_hits(self._bent, mesh.faces, face, weights)[:, 0]
