@@ -7,20 +7,28 @@ from pathlib import Path
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.start import Start
 from refdgs_pipe.artifacts.views import Views
+from refdgs_pipe.training.initial import Hull, object_hull
 from refdgs_pipe.training.look import look
 from refdgs_pipe.training.photos import TrainingPhoto, load_training_photos
 from refdgs_pipe.training.settings import StartParams
 from refdgs_pipe.training.starting import Given, start_of
 from refdgs_pipe.training.step import near_of
 from refdgs_pipe.training.stereo_start import agreed_cloud
+from refdgs_pipe.training.vessels import Trial, find_mouth, tried
 
 
 @dataclass(frozen=True)
 class Begun:
-    """A start, and whether it lies on what neighbouring photos agree on."""
+    """A start.
+
+    Args:
+        stereo: whether it lies on what neighbouring photos agree on.
+        trial: of a lid, if there was one to be judged.
+    """
 
     start: Start
     stereo: bool
+    trial: Trial | None = None
 
 
 def begin(
@@ -48,7 +56,8 @@ def begin(
         photos = load_training_photos(views, model, max_side=params.max_side, near=near)
     masked = views.background != "photo"
     if masked:
-        return Begun(start_of(Given(params, model, photos, progress=progress), masked=True), False)
+        hull, trial = _solid(params, model, photos, near, progress)
+        return Begun(start_of(Given(params, model, photos, hull=hull), masked=True), False, trial)
     agreed = agreed_cloud(params, model, photos, scratch, progress)
     if agreed is not None or params.look_steps == 0:
         given = Given(params, model, photos, agreed=agreed, progress=progress)
@@ -64,3 +73,23 @@ def begin(
         progress=progress,
     )
     return Begun(start_of(given, masked=False), False)
+
+
+def _solid(
+    params: StartParams,
+    model: SparseModel,
+    photos: list[TrainingPhoto],
+    near: float,
+    progress: Callable[[int, int], None] | None,
+) -> tuple[Hull | None, Trial | None]:
+    """The object within its masks, as a vessel if that explains photos better than its lid."""
+    if params.masked == "ball" or any(photo.mask is None for photo in photos):
+        return None, None
+    hull = object_hull(params, model, photos, progress)
+    if hull is None or params.masked != "carved" or not params.vessels:
+        return hull, None
+    mouth = find_mouth(hull, model.up)
+    if mouth is None:
+        return hull, None
+    trial = tried(params, model, photos, hull, mouth, near=near, progress=progress)
+    return (mouth.vessel if trial is not None and trial.opens else hull), trial

@@ -131,39 +131,46 @@ def carved(
     return replace(hull, cells=left) if left.sum() >= 50 else hull
 
 
-def hull_cloud(
+def object_hull(
     p: StartParams,
     model: SparseModel,
     photos: list[TrainingPhoto],
-    rng: np.random.Generator,
-    progress: Callable[[int, int], None] | None,
-) -> Cloud | None:
-    """Where surfels start within the photos' masks, or None if those have nothing in common.
+    progress: Callable[[int, int], None] | None = None,
+) -> Hull | None:
+    """The solid within the photos' masks, or None if those have nothing in common.
 
     Args:
         progress: told the steps done and their number; may raise.
     """
-    cameras = [photo.camera for photo in photos]
-    masks = [photo.mask.float() / 255 for photo in photos if photo.mask is not None]
-    covers = [mask.numpy() for mask in masks]
-    hull = visual_hull(model.ball, cameras, covers)
-    if hull is None:
-        return None
+    cameras, masks = [photo.camera for photo in photos], _masks(photos)
+    hull = visual_hull(model.ball, cameras, [mask.numpy() for mask in masks])
+    if hull is None or p.masked != "carved":
+        return hull
+    return carved(
+        hull,
+        cameras,
+        [photo.rgb.float() / 255 for photo in photos],
+        masks,
+        around=Surroundings(model, ground=True),
+        volume_steps=p.volume_steps,
+        seed=p.seed,
+        progress=progress,
+    )
+
+
+def hull_cloud(
+    p: StartParams, hull: Hull, photos: list[TrainingPhoto], rng: np.random.Generator
+) -> Cloud:
+    """Where surfels start on a solid, or in it (`masked` "volume")."""
     if p.masked == "volume":
         return volume_cloud(hull, p.surfels, rng)
-    if p.masked == "carved":
-        pictures = [photo.rgb.float() / 255 for photo in photos]
-        hull = carved(
-            hull,
-            cameras,
-            pictures,
-            masks,
-            around=Surroundings(model, ground=True),
-            volume_steps=p.volume_steps,
-            seed=p.seed,
-            progress=progress,
-        )
+    cameras, covers = [photo.camera for photo in photos], [m.numpy() for m in _masks(photos)]
     return surface_cloud(hull, p.surfels, rng, cameras, covers, p.outline_cells)
+
+
+def _masks(photos: list[TrainingPhoto]) -> list[Tensor]:
+    """(H, W) in [0, 1] of each photo that has one."""
+    return [photo.mask.float() / 255 for photo in photos if photo.mask is not None]
 
 
 def volume_cloud(hull: Hull, count: int, rng: np.random.Generator) -> Cloud:

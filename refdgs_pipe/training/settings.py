@@ -47,6 +47,11 @@ class ObjectParams(Params):
         description="steps of fitting a coarse volume that shows more hollows, where surfels start "
         "carved; 0: none",
     )
+    vessels: bool = Field(
+        True,
+        description="whether a level top is tried as the mouth of a vessel: two short trainings are "
+        "judged by photos that they did not see",
+    )
     outline_cells: float = Field(
         1.5,
         ge=0,

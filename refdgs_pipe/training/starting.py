@@ -32,6 +32,7 @@ class Given:
 
     Args:
         photos: on the CPU; those with masks start in their hull.
+        hull: the solid that surfels start on, if it is known.
         agreed: what photos without masks agree on, if that is what they start from.
         behind: the background's surfels, if they are known.
         covers: of `Start`.
@@ -42,6 +43,7 @@ class Given:
     params: StartParams
     model: SparseModel
     photos: list[TrainingPhoto]
+    hull: initial.Hull | None = None
     agreed: initial.Cloud | None = None
     behind: dict[str, Tensor] | None = None
     covers: dict[str, np.ndarray] | None = None
@@ -129,9 +131,10 @@ def _geometry_cloud(
         own = around.objects(torch.from_numpy(given.agreed.points)).numpy()
         return initial.chosen(given.agreed, own), SURFACE_OPACITY
     if p.masked != "ball" and all(photo.mask is not None for photo in photos):
-        hull = initial.hull_cloud(p, model, photos, rng, given.progress)
+        hull = given.hull or initial.object_hull(p, model, photos, given.progress)
         if hull is not None:
-            return hull, p.opacity if p.masked == "volume" else SURFACE_OPACITY
+            cloud = initial.hull_cloud(p, hull, photos, rng)
+            return cloud, p.opacity if p.masked == "volume" else SURFACE_OPACITY
     cloud = initial.ball_cloud(model.ball, p.surfels, rng)
     cloud = initial.chosen(cloud, around.above(torch.from_numpy(cloud.points)).numpy())
     inside = around.objects(torch.from_numpy(model.points), BALL_MARGIN).numpy()

@@ -1,0 +1,216 @@
+"""Vessels: whether a lid that silhouettes leave on an object is its top, or the mouth of a hollow.
+
+Silhouettes close every hollow, also a bowl's. Photo agreement opens those whose inside is matte; a
+polished inside agrees on nothing. Here both answers are tried: a short training from the closed
+solid and one from a vessel with walls of even thickness, each judged by photos that it did not
+see, where they show the lid. The vessel has to explain them clearly better.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation, distance_transform_edt, gaussian_filter, label
+
+from refdgs_pipe.artifacts.sparse_model import SparseModel
+from refdgs_pipe.camera import F64, Camera
+from refdgs_pipe.training.carving import boundary
+from refdgs_pipe.training.field import TrainableField
+from refdgs_pipe.training.initial import F32, Hull
+from refdgs_pipe.training.photos import TrainingPhoto, shrunk
+from refdgs_pipe.training.settings import StartParams, TrainParams
+from refdgs_pipe.training.shading import draw
+from refdgs_pipe.training.starting import Given, start_of
+from refdgs_pipe.training.step import take_step
+
+Bools = NDArray[np.bool_]
+
+LEVEL = 0.75  # of the cosine between a lid's normal and up
+LID = 0.1  # of the hull's boundary that a lid has, at least
+FLAT = 0.15  # of its width: how far a lid may reach in height
+WALL = 2.5  # cells that a vessel's walls are thick
+HOLLOW = 0.15  # of the hull's cells that a hollow has, at least
+LOOKS_IN = 0.3  # sine of the elevation from which a photo looks into a mouth
+FEWEST = 8  # photos that look in
+EACH = 4  # of those, one in so many is held out
+SIDE = 200  # pixels of the photos that are trained on
+STEPS, SURFELS = 800, 6000
+BETTER = 0.6  # dB by which the vessel has to explain held-out photos better
+_SHORT = {
+    "iterations": STEPS,
+    "environment_height": 64,
+    "max_surfels": 2 * SURFELS,
+    "coarse": 1.0,
+    "renew_at": 1.0,
+    "specular_weight": 0.0,
+    "turn_share": 0.0,
+    "rate_means": 1e-3,
+}
+
+
+@dataclass(frozen=True)
+class Mouth:
+    """A lid, and the hull with a hollow below it.
+
+    Args:
+        lid: (N, 3) centres of the lid's cells, world.
+        vessel: the hull without the hollow.
+    """
+
+    lid: F64
+    vessel: Hull
+
+
+def find_mouth(hull: Hull, up: F64) -> Mouth | None:
+    """The largest level part of the hull's boundary; None if there is no large, flat one.
+
+    Args:
+        up: (3,) unit, world.
+    """
+    shell = np.argwhere(boundary(hull.cells))
+    normals = _normals(hull.cells)[tuple(shell.T)]
+    level = normals @ up > LEVEL
+    lid = np.zeros_like(hull.cells)
+    lid[tuple(shell[level].T)] = True
+    parts, count = label(lid, np.ones((3, 3, 3)))
+    if not count:
+        return None
+    sizes = np.bincount(parts.ravel())[1:]
+    lid = parts == 1 + int(sizes.argmax())
+    top = hull.ball.center + hull.ticks[np.argwhere(lid)]
+    if len(top) < LID * len(shell) or not _is_flat(top, up):
+        return None
+    reach = int(np.ceil(WALL)) + 2
+    capped = hull.cells | binary_dilation(lid, iterations=reach)
+    deep = hull.cells & (distance_transform_edt(capped) > WALL)
+    parts, _ = label(deep | lid)
+    hollow = deep & (parts == parts[lid].max())
+    hollow |= lid & binary_dilation(hollow, iterations=reach)
+    if hollow.sum() < HOLLOW * hull.cells.sum():
+        return None
+    vessel = replace(hull, cells=hull.cells & ~_opened_above(hollow, hull.cells, lid, reach))
+    return Mouth(top, vessel)
+
+
+def _is_flat(points: F64, up: F64) -> bool:
+    """Whether a level patch (N, 3) is thin against its width."""
+    height = points @ up
+    flat = points - height[:, None] * up
+    width = 2 * float(np.linalg.norm(flat - flat.mean(0), axis=1).max())
+    low, high = np.quantile(height, [0.05, 0.95])
+    return bool(high - low < FLAT * width)
+
+
+def _opened_above(hollow: Bools, cells: Bools, lid: Bools, reach: int) -> Bools:
+    """The hollow with what lies between it and the lid."""
+    near = binary_dilation(hollow, iterations=reach) & binary_dilation(lid, iterations=reach)
+    found: Bools = hollow | (cells & near & binary_dilation(lid, iterations=2))
+    return found
+
+
+def _normals(cells: Bools) -> F32:
+    """(n, n, n, 3) unit normals of the solid's smoothed boundary, outwards."""
+    smooth = gaussian_filter(cells.astype(np.float32), 1.5)
+    gradient = -np.stack(np.gradient(smooth), -1)
+    length = np.linalg.norm(gradient, axis=-1, keepdims=True)
+    return np.asarray(gradient / np.maximum(length, 1e-9), np.float32)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """PSNR in dB of held-out photos on the lid, by the closed hull and by the vessel."""
+
+    closed: float
+    vessel: float
+
+    @property
+    def opens(self) -> bool:
+        """Whether the vessel explains them clearly better."""
+        return self.vessel > self.closed + BETTER
+
+
+def tried(
+    params: StartParams,
+    model: SparseModel,
+    photos: list[TrainingPhoto],
+    closed: Hull,
+    mouth: Mouth,
+    *,
+    near: float,
+    progress: Callable[[int, int], None] | None = None,
+) -> Trial | None:
+    """Explain photos by the closed hull and by the vessel; None where too few photos look in.
+
+    Args:
+        near: depth before which nothing is drawn, world units.
+        progress: told the steps done and their number; may raise.
+    """
+    middle = mouth.lid.mean(0)
+    towards = np.stack([photo.camera.center for photo in photos]) - middle
+    sine = towards @ model.up / np.linalg.norm(towards, axis=1)
+    looks = np.flatnonzero(sine > LOOKS_IN)
+    if len(looks) < FEWEST:
+        return None
+    held = set(looks[EACH // 2 :: EACH].tolist())
+    small = [shrunk(p, SIDE / max(p.camera.width, p.camera.height)) for p in photos]
+    learnt = [photo for i, photo in enumerate(small) if i not in held]
+    asked = [small[i] for i in sorted(held)]
+    figures = []
+    for number, hull in enumerate((closed, mouth.vessel)):
+
+        def told(step: int, before: int = number) -> None:
+            if progress is not None:
+                progress(before * STEPS + step, 2 * STEPS)
+
+        figures.append(_explained(params, model, learnt, asked, hull, mouth.lid, near, told))
+    return Trial(*figures)
+
+
+def _explained(
+    params: StartParams,
+    model: SparseModel,
+    learnt: list[TrainingPhoto],
+    asked: list[TrainingPhoto],
+    hull: Hull,
+    lid: F64,
+    near: float,
+    told: Callable[[int], None],
+) -> float:
+    """PSNR in dB of photos that a short training has not seen, on the lid."""
+    few = params.model_copy(update={"surfels": SURFELS, "local_surfels": 2000})
+    start = start_of(Given(few, model, learnt, hull=hull), masked=True)
+    field = TrainableField(
+        TrainParams.model_validate(_SHORT), model, start, learnt, masked=True, near=near
+    )
+    rng = torch.Generator().manual_seed(params.seed)
+    for step in range(STEPS):
+        if step % 10 == 0:
+            told(step)
+        field.set_rates(step / STEPS)
+        photo = learnt[int(torch.randint(len(learnt), (1,), generator=rng))]
+        take_step(field, photo, torch.rand(3, generator=rng), step / STEPS)
+        if field.adapts(step + 1):
+            field.adapt(step + 1, rng)
+    missed, count = 0.0, 0
+    for photo in asked:
+        with torch.no_grad():
+            picture = draw(field.scene(photo.pinhole, 1.0), photo.pinhole, torch.zeros(3)).image
+        assert photo.mask is not None
+        there = torch.from_numpy(_shown(photo.camera, lid)) & (photo.mask > 127)
+        wanted = photo.rgb.permute(1, 2, 0).float() / 255
+        apart = (picture.clamp(0, 1) - wanted)[there].square().mean(-1)
+        missed, count = missed + float(apart.sum()), count + int(there.sum())
+    return -10 * float(np.log10(max(missed / max(count, 1), 1e-9)))
+
+
+def _shown(camera: Camera, points: F64) -> Bools:
+    """(H, W) where a camera shows points (N, 3), without gaps between them."""
+    uv, depth = camera.project(points)
+    use = (depth > 0) & (uv >= 0).all(1) & (uv < (camera.width, camera.height)).all(1)
+    out = np.zeros((camera.height, camera.width), np.uint8)
+    column, row = uv[use].astype(np.int64).T
+    out[row, column] = 1
+    return np.asarray(cv2.morphologyEx(out, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8)) > 0)
