@@ -7,7 +7,7 @@ from pathlib import Path
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.start import Start
 from refdgs_pipe.artifacts.views import Views
-from refdgs_pipe.training.initial import Hull, object_hull
+from refdgs_pipe.training.initial import Hull, closed_hull, object_hull
 from refdgs_pipe.training.look import look
 from refdgs_pipe.training.photos import TrainingPhoto, load_training_photos
 from refdgs_pipe.training.settings import StartParams
@@ -88,7 +88,9 @@ def _solid(
     hull = object_hull(params, model, photos, progress)
     if hull is None or params.masked != "carved" or not params.vessels:
         return hull, None
-    mouth = find_mouth(hull, model.up)
+    closed = closed_hull(model, photos)
+    mouth = None if closed is None else find_mouth(closed, model.up)
+    mouth = None if mouth is None else mouth.within(hull)
     if mouth is None:
         return hull, None
     trial = tried(params, model, photos, hull, mouth, near=near, progress=progress)

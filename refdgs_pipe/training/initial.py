@@ -131,6 +131,12 @@ def carved(
     return replace(hull, cells=left) if left.sum() >= 50 else hull
 
 
+def closed_hull(model: SparseModel, photos: list[TrainingPhoto]) -> Hull | None:
+    """The visual hull of the photos' masks, or None if those have nothing in common."""
+    covers = [mask.numpy() for mask in _masks(photos)]
+    return visual_hull(model.ball, [photo.camera for photo in photos], covers)
+
+
 def object_hull(
     p: StartParams,
     model: SparseModel,
@@ -142,15 +148,14 @@ def object_hull(
     Args:
         progress: told the steps done and their number; may raise.
     """
-    cameras, masks = [photo.camera for photo in photos], _masks(photos)
-    hull = visual_hull(model.ball, cameras, [mask.numpy() for mask in masks])
+    hull = closed_hull(model, photos)
     if hull is None or p.masked != "carved":
         return hull
     return carved(
         hull,
-        cameras,
+        [photo.camera for photo in photos],
         [photo.rgb.float() / 255 for photo in photos],
-        masks,
+        _masks(photos),
         around=Surroundings(model, ground=True),
         volume_steps=p.volume_steps,
         seed=p.seed,

@@ -49,8 +49,8 @@ class ObjectParams(Params):
     )
     vessels: bool = Field(
         True,
-        description="whether a level top is tried as the mouth of a vessel: two short trainings are "
-        "judged by photos that they did not see",
+        description="whether a level top is tried as the mouth of a vessel: two short trainings "
+        "are judged by photos that they did not see",
     )
     outline_cells: float = Field(
         1.5,

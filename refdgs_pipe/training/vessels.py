@@ -30,9 +30,10 @@ Bools = NDArray[np.bool_]
 
 LEVEL = 0.75  # of the cosine between a lid's normal and up
 LID = 0.1  # of the hull's boundary that a lid has, at least
-FLAT = 0.15  # of its width: how far a lid may reach in height
+FLAT = 0.12  # of its width: how far a lid may reach in height
 WALL = 2.5  # cells that a vessel's walls are thick
 HOLLOW = 0.15  # of the hull's cells that a hollow has, at least
+STILL_CLOSED = 0.6  # of the hollow's cells that photo agreement did not open
 LOOKS_IN = 0.3  # sine of the elevation from which a photo looks into a mouth
 FEWEST = 8  # photos that look in
 EACH = 4  # of those, one in so many is held out
@@ -57,11 +58,19 @@ class Mouth:
 
     Args:
         lid: (N, 3) centres of the lid's cells, world.
+        hollow: (n, n, n) its cells.
         vessel: the hull without the hollow.
     """
 
     lid: F64
+    hollow: Bools
     vessel: Hull
+
+    def within(self, hull: Hull) -> "Mouth | None":
+        """The mouth of a hull that is opened in part; None if most of the hollow is open there."""
+        if (hull.cells & self.hollow).sum() < STILL_CLOSED * self.hollow.sum():
+            return None
+        return replace(self, vessel=replace(hull, cells=hull.cells & ~self.hollow))
 
 
 def find_mouth(hull: Hull, up: F64) -> Mouth | None:
@@ -84,15 +93,17 @@ def find_mouth(hull: Hull, up: F64) -> Mouth | None:
     if len(top) < LID * len(shell) or not _is_flat(top, up):
         return None
     reach = int(np.ceil(WALL)) + 2
-    capped = hull.cells | binary_dilation(lid, iterations=reach)
+    x, y, z = np.meshgrid(*hull.axes(), indexing="ij")
+    above = x * up[0] + y * up[1] + z * up[2] > np.quantile(top @ up, 0.05)
+    capped = hull.cells | (binary_dilation(lid, iterations=reach) & above)
     deep = hull.cells & (distance_transform_edt(capped) > WALL)
-    parts, _ = label(deep | lid)
-    hollow = deep & (parts == parts[lid].max())
-    hollow |= lid & binary_dilation(hollow, iterations=reach)
+    parts, _ = label(deep)
+    below = binary_dilation(lid, iterations=2) & deep
+    hollow = deep & np.isin(parts, np.unique(parts[below]))
     if hollow.sum() < HOLLOW * hull.cells.sum():
         return None
-    vessel = replace(hull, cells=hull.cells & ~_opened_above(hollow, hull.cells, lid, reach))
-    return Mouth(top, vessel)
+    vessel = replace(hull, cells=hull.cells & ~hollow)
+    return Mouth(top, hollow, vessel)
 
 
 def _is_flat(points: F64, up: F64) -> bool:
@@ -102,13 +113,6 @@ def _is_flat(points: F64, up: F64) -> bool:
     width = 2 * float(np.linalg.norm(flat - flat.mean(0), axis=1).max())
     low, high = np.quantile(height, [0.05, 0.95])
     return bool(high - low < FLAT * width)
-
-
-def _opened_above(hollow: Bools, cells: Bools, lid: Bools, reach: int) -> Bools:
-    """The hollow with what lies between it and the lid."""
-    near = binary_dilation(hollow, iterations=reach) & binary_dilation(lid, iterations=reach)
-    found: Bools = hollow | (cells & near & binary_dilation(lid, iterations=2))
-    return found
 
 
 def _normals(cells: Bools) -> F32:
