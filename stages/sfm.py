@@ -26,7 +26,7 @@ class SfmParams(Params):
     )
 
 
-@stage(version=6, programs=("pycolmap",))
+@stage(version=7, programs=("pycolmap",))
 def sfm(views: Views, params: SfmParams, job: Job) -> Placement:
     """Place the photos, in harder ways where easier ones leave some out."""
     from refdgs_pipe.child_process import ChildCrashed, call_in_child
@@ -49,7 +49,11 @@ def sfm(views: Views, params: SfmParams, job: Job) -> Placement:
                 job.warn(without_points(error))
         return Placement(poses, known=True)
     pictures = plain_images(views, job.scratch)
-    given: dict[str, Any] = {"masks": params.masks, "line_mm": params.mat_line}
+
+    def told(done: int, total: int) -> None:
+        job.progress("comparing the ground", done, total)
+
+    given: dict[str, Any] = {"told": told, "masks": params.masks, "line_mm": params.mat_line}
     placement = solve(views, pictures, effort, scratch=job.scratch, run=run, **given)
     for attempt in placement.attempts:
         found = f"{attempt.placed} placed, {attempt.trusted} trusted, {attempt.points} points"

@@ -58,7 +58,7 @@ class Poses:
         lenses: COLMAP model name, width, height and parameters of each lens.
         points: (P, 3); colors: (P, 3) uint8; tracks: file name -> point indices.
         error_px: mean reprojection error.
-        mapper: "incremental", "global" or "mat".
+        mapper: "incremental", "global", "mat" or "pattern".
         evidence: None where places do not come from features.
         rival: median distance between the photos' places here and in another solution from the
             same matches, as a share of the photos' distance from their middle; None without one.
