@@ -48,7 +48,7 @@ class Lattice:
         """The same ground, its cells spanned by the columns of `basis` (2, 2), in old cells."""
         wide = np.eye(3)
         wide[:2, :2] = basis
-        nodes = np.linalg.solve(basis, self.nodes.T).T
+        nodes = np.asarray(np.linalg.solve(basis, self.nodes.T).T, np.float64)
         return Lattice(self.pixels_from_cells @ wide, nodes, self.pixels)
 
 
@@ -93,7 +93,7 @@ def find_lattice(grey: U8) -> Lattice | None:
 
 def _keys(grey: U8, scale: float) -> tuple[F64, NDArray[np.float32]]:
     """Places of keypoints and unit descriptors (RootSIFT), all upright: repeats are not turned."""
-    sift = cv2.SIFT_create(0, 3, 0.02, 10, 1.6)
+    sift = cv2.SIFT.create(0, 3, 0.02, 10, 1.6)
     seen: dict[tuple[int, int, int], cv2.KeyPoint] = {}
     for key in sift.detect(grey, None):
         if key.size >= LEAST_SIZE * scale:
@@ -102,9 +102,9 @@ def _keys(grey: U8, scale: float) -> tuple[F64, NDArray[np.float32]]:
     keys = sorted(seen.values(), key=lambda key: -key.response)[:MOST_KEYS]
     if not keys:
         return np.zeros((0, 2)), np.zeros((0, 128), np.float32)
-    keys, looks = sift.compute(grey, keys)
+    found, looks = sift.compute(grey, keys)
     looks = np.sqrt(looks / np.maximum(looks.sum(1, keepdims=True), 1e-9)).astype(np.float32)
-    return np.array([key.pt for key in keys], float) + 0.5, looks
+    return np.array([key.pt for key in found], float) + 0.5, looks
 
 
 def _first_cells(seed: F64, near: F64, members: F64) -> list[F64]:
@@ -137,7 +137,7 @@ def _grown(homography: F64, points: F64, scale: float) -> Lattice | None:
     for step in range(ROUNDS):
         if not np.isfinite(homography).all() or abs(np.linalg.det(homography)) < 1e-12:
             return None
-        cells = mapped(np.linalg.inv(homography), points)
+        cells = mapped(np.asarray(np.linalg.inv(homography), np.float64), points)
         near = np.round(cells)
         there = mapped(homography, near)
         sides = [np.linalg.norm(mapped(homography, near + s) - there, axis=1) for s in np.eye(2)]

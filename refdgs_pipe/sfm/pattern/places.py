@@ -1,8 +1,8 @@
 """Photos of an object on a ground that repeats, placed by that ground.
 
-Checks, tiles and dots mislead features: their matches agree on places that are one period off. Here
-the repeats give each photo's view of the ground, and what does not repeat (stains, threads, shadows)
-tells how the photos lie on each other. Each photo has to be confirmed by several others.
+Checks, tiles and dots mislead features: their matches agree on places that are one period off.
+Here the repeats give each photo's view of the ground, and what does not repeat (stains, threads,
+shadows) tells how the photos lie on each other. Several others have to confirm each photo.
 """
 
 from collections.abc import Callable, Iterable
@@ -35,7 +35,7 @@ from refdgs_pipe.sfm.poses import Poses, Shots
 TRIED = 6  # photos that tell whether the ground repeats
 LEAST_SHARE = 0.5  # of the photos with a lattice
 SQUARE = 0.06  # of the sides and of their angle: so far a lattice is square
-FOCALS = (0.7, 1.2, 2.2)  # by the long side, where EXIF tells none
+WITHOUT_EXIF = 1.2  # focal length by the long side
 
 
 @dataclass(frozen=True)
@@ -47,12 +47,24 @@ class _Ground:
     lattice: Lattice
 
 
+def ground_repeats(folder: Path, shots: tuple[Shots, ...], threads: int) -> bool:
+    """Whether half of some photos show a lattice.
+
+    Args:
+        folder: holds the PNGs that `shots` name.
+    """
+    files = sorted(file for group in shots for file in group.files)
+    tried = files[:: max(1, len(files) // TRIED)][:TRIED]
+    return len(_lattices(folder, tried, threads)) >= LEAST_SHARE * len(tried)
+
+
 def placed_by_pattern(
     folder: Path, shots: tuple[Shots, ...], threads: int, told: Callable[[int, int], None]
 ) -> Poses | None:
-    """Place the photos by a ground that repeats; None where it does not, or tells too little.
+    """Place the photos by a ground that repeats; None where it tells too little.
 
-    Poses are in periods of the pattern, z up, the ground at 0; points are repeats on the ground.
+    Only photos through the lens that most were taken with are placed. Poses are in periods of the
+    pattern, z up, the ground at 0; points are repeats on the ground.
 
     Args:
         folder: holds the PNGs that `shots` name.
@@ -60,9 +72,6 @@ def placed_by_pattern(
     """
     group = max(shots, key=lambda one: len(one.files))
     files = sorted(group.files)
-    tried = files[:: max(1, len(files) // TRIED)][:TRIED]
-    if len(_lattices(folder, tried, threads)) < LEAST_SHARE * len(tried):
-        return None
     grounds = _settled(_lattices(folder, files, threads), group)
     if len(grounds) < max(3, LEAST_SHARE * len(files)):
         return None
@@ -87,7 +96,7 @@ def _lattices(folder: Path, files: Iterable[str], threads: int) -> list[_Ground]
 
 def _settled(grounds: list[_Ground], group: Shots) -> list[_Ground]:
     """The same, their cells one period, fitted to all cells that look alike."""
-    inverse = np.linalg.inv(_intrinsics(group))
+    inverse = np.asarray(np.linalg.inv(_intrinsics(group)), np.float64)
     settled_ = [_Ground(g.file, g.grey, settled(g.lattice, g.grey, inverse)) for g in grounds]
     if not settled_:
         return []
@@ -102,13 +111,13 @@ def _cell(grounds: list[_Ground]) -> int:
 
 
 def _intrinsics(group: Shots) -> F64:
-    focal = group.focal or FOCALS[1] * max(group.width, group.height)
+    focal = group.focal or WITHOUT_EXIF * max(group.width, group.height)
     return np.array([[focal, 0, group.width / 2], [0, focal, group.height / 2], [0, 0, 1.0]])
 
 
 def _metric(grounds: list[_Ground], intrinsics: F64) -> F64:
     """(2, 2) columns are the basis on the plane; the first is (1, 0)."""
-    inverse = np.linalg.inv(intrinsics)
+    inverse = np.asarray(np.linalg.inv(intrinsics), np.float64)
     grams = np.stack([gram(g.lattice, inverse) for g in grounds])
     grams /= grams[:, :1, :1]
     middle = np.median(grams, axis=0)

@@ -1,6 +1,7 @@
 """A photo's view of the ground from above, without what repeats: stains, threads, shadows."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -92,16 +93,10 @@ def refined(lattice: Lattice, grey: U8, cell: int) -> Lattice:
         top, known = _from_above(lattice, grey, cell, origin, MORE_CELLS)
         count = SIDE // cell
         rim = (SIDE - count * cell) // 2
-        inside = slice(rim, rim + count * cell)
-
-        def cells(a: NDArray[np.generic]) -> NDArray[np.generic]:
-            tiled = a[inside, inside].reshape(count, cell, count, cell).transpose(0, 2, 1, 3)
-            return tiled.reshape(count**2, cell**2)
-
-        whole = cells(known).all(1)
+        whole = _in_cells(known, cell).all(1)
         if whole.sum() < LEAST_CELLS:
             return lattice
-        values = np.asarray(cells(cv2.GaussianBlur(top, (0, 0), 1.0))[whole], float)
+        values = np.asarray(_in_cells(cv2.GaussianBlur(top, (0, 0), 1.0), cell)[whole], float)
         values -= values.mean(1, keepdims=True)
         mean = np.median(values, axis=0)
         tiled = np.tile(mean.reshape(cell, cell), (3, 3))
@@ -127,6 +122,15 @@ def refined(lattice: Lattice, grey: U8, cell: int) -> Lattice:
         kept = off < 2 * FIT_PX
         lattice = Lattice(np.asarray(fitted, float), nodes[kept], pixels[kept])
     return lattice
+
+
+def _in_cells(a: NDArray[Any], cell: int) -> NDArray[Any]:
+    """(count * count, cell * cell) the whole cells of a view (SIDE, SIDE), row by row."""
+    count = SIDE // cell
+    rim = (SIDE - count * cell) // 2
+    inside = slice(rim, rim + count * cell)
+    tiled = a[inside, inside].reshape(count, cell, count, cell).transpose(0, 2, 1, 3)
+    return tiled.reshape(count**2, cell**2)
 
 
 def gram(lattice: Lattice, inverse: F64) -> F64:
