@@ -41,9 +41,9 @@ LIKE_SHARE = 0.46  # of the points without a match, that look alike in them
 NEAR_PAIRS = 4
 UNEVEN = 0.085  # difference of the logarithms of light
 _REPEATS = (
-    "The ground repeats (checks, tiles or dots), and matches cannot tell its repeats apart. Put "
-    "the object on the printed mat, on newspaper or on another ground whose pattern does not "
-    "repeat, keep much of it in the picture, and take the photos again"
+    "The ground seems to repeat (checks, tiles or dots), and what tells its repeats apart is too "
+    "weak. Put the object on the printed mat, on newspaper or on another ground whose pattern does "
+    "not repeat, keep much of it in the picture, and take the photos again"
 )
 _FEW = (
     "Take more photos between those without a place and the others, each sharing two thirds of its "

@@ -1,4 +1,4 @@
-"""The captures: half of them for choosing limits, half for checking only."""
+"""The captures: some for choosing limits, six for checking only."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

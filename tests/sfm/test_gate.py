@@ -162,7 +162,7 @@ def test_nothing_placed_is_refused_with_a_reason_for_each(views: Views) -> None:
 
 def test_a_ground_that_repeats_is_named_as_the_cause(views: Views) -> None:
     judgement = examine(views, Placement(None, repeats=True), least=0.7)
-    with pytest.raises(PoseError, match=r"The ground repeats .* newspaper"):
+    with pytest.raises(PoseError, match=r"The ground seems to repeat .* newspaper"):
         check_trusted(views, judgement, attempts=3)
 
 

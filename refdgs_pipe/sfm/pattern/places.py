@@ -34,6 +34,7 @@ from refdgs_pipe.sfm.poses import Poses, Shots
 
 TRIED = 6  # photos that tell whether the ground repeats
 LEAST_SHARE = 0.5  # of the photos with a lattice
+SPAN_DEG = 120.0
 SQUARE = 0.06  # of the sides and of their angle: so far a lattice is square
 WITHOUT_EXIF = 1.2  # focal length by the long side
 
@@ -79,9 +80,10 @@ def placed_by_pattern(
     is_square = bool(np.abs(metric - np.eye(2)).max() < SQUARE)
     turns = (0, 1, 2, 3) if is_square else (0, 2)
     laid = laid_out(len(grounds), _overlays(grounds, turns, threads, told))
-    if len(laid) < 3:
+    if len(laid) < max(3, LEAST_SHARE * len(files)):
         return None
-    return _posed(grounds, laid, np.eye(2) if is_square else metric, group)
+    poses = _posed(grounds, laid, np.eye(2) if is_square else metric, group)
+    return poses if poses is not None and _span(poses) > SPAN_DEG else None
 
 
 def _lattices(folder: Path, files: Iterable[str], threads: int) -> list[_Ground]:
@@ -143,6 +145,19 @@ def _overlays(
         if best is not None:
             found[a, b] = best
     return found
+
+
+def _span(poses: Poses) -> float:
+    """Degrees of the circle round the ground's normal that the photos look from: 360 without the
+    widest gap.
+
+    What moves with the camera (the object's outline, a lens that bends) lays photos on each other
+    as if all looked from one side: with quarter turns, from within 90 degrees.
+    """
+    around = np.sort(
+        [np.degrees(np.arctan2(p[2, 1], p[2, 0])) for p in poses.cam_from_world.values()]
+    )
+    return 360.0 - float(np.diff(around, append=around[0] + 360).max())
 
 
 def _posed(
