@@ -1,5 +1,6 @@
 """Find where every photo was taken."""
 
+from functools import partial
 from typing import Any, Literal
 
 from pydantic import Field
@@ -26,7 +27,7 @@ class SfmParams(Params):
     )
 
 
-@stage(version=6, programs=("pycolmap",))
+@stage(version=7, programs=("pycolmap",))
 def sfm(views: Views, params: SfmParams, job: Job) -> Placement:
     """Place the photos, in harder ways where easier ones leave some out."""
     from refdgs_pipe.child_process import ChildCrashed, call_in_child
@@ -49,7 +50,8 @@ def sfm(views: Views, params: SfmParams, job: Job) -> Placement:
                 job.warn(without_points(error))
         return Placement(poses, known=True)
     pictures = plain_images(views, job.scratch)
-    given: dict[str, Any] = {"masks": params.masks, "line_mm": params.mat_line}
+    told = partial(job.progress, "comparing the ground")
+    given: dict[str, Any] = {"masks": params.masks, "line_mm": params.mat_line, "told": told}
     placement = solve(views, pictures, effort, scratch=job.scratch, run=run, **given)
     for attempt in placement.attempts:
         found = f"{attempt.placed} placed, {attempt.trusted} trusted, {attempt.points} points"

@@ -58,7 +58,7 @@ class Poses:
         lenses: COLMAP model name, width, height and parameters of each lens.
         points: (P, 3); colors: (P, 3) uint8; tracks: file name -> point indices.
         error_px: mean reprojection error.
-        mapper: "incremental", "global" or "mat".
+        mapper: "incremental", "global", "mat" or "pattern".
         evidence: None where places do not come from features.
         rival: median distance between the photos' places here and in another solution from the
             same matches, as a share of the photos' distance from their middle; None without one.
@@ -104,6 +104,7 @@ class Placement:
         known: whether the capture came with poses.
         metres_per_unit: length of a unit of `poses`, where something told it, else None.
         up: (3,) unit vector in the frame of `poses`, where something told it, else None.
+        repeats: whether the ground repeats, as checks, tiles or dots do.
     """
 
     poses: Poses | None
@@ -112,6 +113,7 @@ class Placement:
     known: bool = False
     metres_per_unit: float | None = None
     up: F64 | None = None
+    repeats: bool = False
 
     def save(self, folder: Path) -> None:
         """Write placement.json, and the arrays to placement.npz."""
@@ -122,6 +124,7 @@ class Placement:
             "known": self.known,
             "metres_per_unit": self.metres_per_unit,
             "up": None if self.up is None else self.up.tolist(),
+            "repeats": self.repeats,
         }
         if self.poses is not None:
             record["poses"] = _to_json(self.poses)
@@ -148,6 +151,7 @@ class Placement:
                 known=record["known"],
                 metres_per_unit=record["metres_per_unit"],
                 up=None if record["up"] is None else np.array(record["up"], float),
+                repeats=record.get("repeats", False),
             )
         except (*_UNREADABLE, ValueError, KeyError, IndexError, TypeError) as error:
             raise CorruptError(f"{folder / 'placement.json'}: {error}") from None

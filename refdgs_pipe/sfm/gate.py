@@ -40,6 +40,16 @@ LIKE_PAIRS = 2  # of close photos
 LIKE_SHARE = 0.46  # of the points without a match, that look alike in them
 NEAR_PAIRS = 4
 UNEVEN = 0.085  # difference of the logarithms of light
+_REPEATS = (
+    "The ground seems to repeat (checks, tiles or dots), and what tells its repeats apart is too "
+    "weak. Put the object on the printed mat, on newspaper or on another ground whose pattern does "
+    "not repeat, keep much of it in the picture, and take the photos again"
+)
+_FEW = (
+    "Take more photos between those without a place and the others, each sharing two thirds of its "
+    "picture with the next, sharp and evenly lit, with a textured ground (newspaper, the printed "
+    "mat) in sight"
+)
 _EQUAL_SIDES = (
     "Photos of different sides seem to lie in one place: the object or its surroundings repeat. "
     "Put something that is not repeated on the ground beside the object, and take more photos in "
@@ -104,7 +114,7 @@ def examine(views: Views, placement: Placement, *, least: float) -> Judgement:
         if stray and len(stray) < len(model.cameras):
             lost |= {f"{name}.png": why for name, why in stray.items()}
             model = _model(views, placement, lost)
-    checks = [_enough(said, lost, least)]
+    checks = [_enough(said, lost, least, repeats=placement.repeats)]
     gaps: tuple[str, ...] = ()
     if model is not None and poses is not None:
         if evidence is not None:
@@ -219,15 +229,15 @@ def _looks_at(camera: Camera, center: F64, radius: float) -> bool:
     return bool(angle < ASIDE * np.arctan(np.linalg.norm(corner)))
 
 
-def _enough(said: Mapping[str, str], lost: Mapping[str, str], least: float) -> Check:
+def _enough(
+    said: Mapping[str, str], lost: Mapping[str, str], least: float, *, repeats: bool
+) -> Check:
     total, count = len(said), len(said) - len(lost)
     return Check(
         "photos with a trusted place",
         f"{count} of {total}, {least:.0%} are needed",
         count >= max(3, least * total),
-        "Take more photos between those without a place and the others, each sharing two thirds "
-        "of its picture with the next, sharp and evenly lit, with a textured ground (newspaper, "
-        "the printed mat) in sight",
+        _REPEATS if repeats else _FEW,
     )
 
 

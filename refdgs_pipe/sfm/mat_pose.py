@@ -60,6 +60,21 @@ def placed_by_mat(
     return _as_poses(solved, detections, corners)
 
 
+def posed_on_plane(seen: dict[str, Seen], shots: Shots, corners: dict[int, F64]) -> Poses | None:
+    """Place photos of one lens by points of a plane; None if fewer than three could be placed.
+
+    Args:
+        seen: file name -> the points in it, as markers of one corner or more.
+        corners: id -> (k, 3) where they are, z = 0.
+    """
+    files = tuple(file for file in shots.files if file in seen and len(seen[file].ids) >= 4)
+    if not files:
+        return None
+    group = _Group(shots, files, tuple(seen[file] for file in files))
+    poses = _as_poses([_solved(group, corners)], seen, corners)
+    return None if poses is None else replace(poses, mapper="pattern")
+
+
 def found_by_mat(
     poses: Poses,
     detections: dict[str, Seen],
@@ -207,7 +222,7 @@ def _bundled(
     files, long = list(poses), max(shots.width, shots.height)
     bends = len(files) >= PHOTOS_FOR_BENDING
     focal = float(lens.K[0, 0])
-    counts = [2 * 4 * len(seen[file].ids) for file in files]
+    counts = [2 * len(seen[file].pixels()) for file in files]
 
     def lens_at(x: F64) -> Lens:
         low, high = (share * long for share in FOCAL_RANGE)
@@ -274,10 +289,11 @@ def _corner_points(
 ) -> tuple[F64, np.ndarray[tuple[int, ...], np.dtype[np.uint8]], dict[str, np.ndarray]]:
     """The corners that are seen, on the mat; black; and which of them each photo sees."""
     ids = sorted({int(i) for found in seen.values() for i in found.ids})
-    first = {marker: 4 * row for row, marker in enumerate(ids)}
+    each = len(corners[ids[0]])
+    first = {marker: each * row for row, marker in enumerate(ids)}
     points = np.concatenate([corners[marker] for marker in ids])
     tracks = {
-        file: np.concatenate([first[int(i)] + np.arange(4) for i in found.ids]).astype(np.int64)
+        file: np.concatenate([first[int(i)] + np.arange(each) for i in found.ids]).astype(np.int64)
         for file, found in seen.items()
     }
     return points, np.zeros((len(points), 3), np.uint8), tracks

@@ -14,6 +14,7 @@ from refdgs_pipe.mat.detection import Seen, seen_in_files
 from refdgs_pipe.mat.layout import LINE_MM
 from refdgs_pipe.sfm.mat_frame import Refused, mat_frame, sightings_in_poses
 from refdgs_pipe.sfm.mat_pose import found_by_mat, placed_by_mat
+from refdgs_pipe.sfm.pattern.places import ground_repeats, placed_by_pattern
 from refdgs_pipe.sfm.pictures import MaskUse, Pictures, feature_masks
 from refdgs_pipe.sfm.posed import shots_of
 from refdgs_pipe.sfm.poses import Effort
@@ -22,6 +23,10 @@ from refdgs_pipe.sfm.trust import standing
 GOOD = 0.9  # share of photos trusted above which the slow rungs are not worth their time
 HOPE = 0.25  # share of photos trusted below which adapting features will not reach enough
 SLOW_FEATURES = 4096  # of a photo, on the rung that adapts each feature
+
+_PATTERN = (
+    "the ground repeats: the photos are placed by what does not repeat on it, not by features"
+)
 
 Run = Callable[[dict[str, Any]], tuple[Poses, tuple[str, ...]]]
 
@@ -52,6 +57,7 @@ def solve(
     masks: MaskUse | Literal["auto"],
     scratch: Path,
     run: Run,
+    told: Callable[[int, int], None] = lambda done, total: None,
     line_mm: float = LINE_MM,
 ) -> Placement:
     """The placement of the attempt that placed most photos where they can be trusted.
@@ -59,17 +65,18 @@ def solve(
     Around a still object the background helps, on a turntable it misleads: with `masks` "auto"
     everything counts at first, then only the object, then only the background. Rungs:
     as the settings say; finer features; finer and fainter ones; the masks; features adapted to
-    steep views.
+    steep views; and last the pattern of the ground, where it repeats.
 
     Args:
         run: calls `colmap.reconstruct` with these arguments, in a process of its own.
+        told: hears how many pairs of photos were compared by the ground's pattern, of how many.
         line_mm: length of the printed mat's ruler line, as measured.
     """
     files = [f"{view.name}.png" for view in views.items]
     mat = seen_in_files(pictures.folder, files, threads=effort.threads)
     shots = shots_of(views, pictures.sizes)
     effort = effort.for_photos(pictures.sizes)
-    so_far = _SoFar(len(views.items))
+    so_far, stands_still = _SoFar(len(views.items)), False
     for rung in _rungs(effort, masks, is_masked=views.background != "photo"):
         if not rung.only_from <= so_far.share < rung.only_below:
             continue
@@ -83,12 +90,19 @@ def solve(
             }
         )
         is_first = not so_far.attempts
+        stands_still = stands_still or bool(said)
         so_far.keep(rung.name, found_by_mat(poses, mat, shots, line_mm=line_mm), said)
         if is_first and so_far.share < GOOD:
             alone = placed_by_mat(mat, shots, line_mm=line_mm)
             if alone is not None:
                 so_far.keep("the printed mat alone", alone, ())
-    placement = Placement(so_far.best, tuple(so_far.attempts), so_far.notes)
+    repeats = so_far.share < GOOD and ground_repeats(pictures.folder, shots, effort.threads)
+    if repeats and not stands_still:
+        by_pattern = placed_by_pattern(pictures.folder, shots, effort.threads, told)
+        if by_pattern is not None:
+            so_far.keep("the pattern of the ground alone", by_pattern, (_PATTERN,))
+    attempts = tuple(so_far.attempts)
+    placement = Placement(so_far.best, attempts, so_far.notes, repeats=repeats)
     return placement if so_far.best is None else _measured(placement, so_far.best, mat, line_mm)
 
 
@@ -121,6 +135,8 @@ def _measured(
     if poses.mapper == "mat":
         up = np.array([0.0, 0.0, 1.0])
         return replace(placement, metres_per_unit=1.0, up=up)
+    if poses.mapper == "pattern":
+        return replace(placement, up=np.array([0.0, 0.0, 1.0]))
     frame = mat_frame(sightings_in_poses(poses, mat), line_mm=line_mm)
     if frame is None:
         return placement

@@ -66,6 +66,38 @@ def mosaic(seed: int, n: int = 2048) -> np.ndarray:
     return np.where(grout[..., None], 0.5, tile) * speck[..., None]
 
 
+def tablecloth(seed: int, n: int = 2048) -> np.ndarray:
+    """Red and white checked cloth, narrow checks, with threads of unequal thickness."""
+    u, v = uvgrid(n)
+    bands = (np.floor(u * 34) % 2) + (np.floor(v * 34) % 2)
+    cloth = mix(LIN("efe9e0"), LIN("9a1f2b"), bands / 2)
+    threads = 1 + 0.08 * tex_noise(u * 8, v * 0.5, 80, seed, 2)
+    threads += 0.08 * tex_noise(u * 0.5, v * 8, 80, seed + 1, 2)
+    folds = 1 + 0.1 * tex_noise(u, v, 4, seed + 2, 2)
+    return np.clip(cloth * (threads * folds)[..., None], 0.01, 0.9)
+
+
+def tiles(seed: int, n: int = 2048) -> np.ndarray:
+    """Equal beige tiles with weak marbling and dark grout."""
+    u, v = uvgrid(n)
+    marble = tex_noise(u, v, 18, seed, 5)
+    tone = 0.5 + 0.07 * marble + 0.05 * tex_noise(u, v, 120, seed + 2, 2)
+    colour = tone[..., None] * np.array([1.0, 0.9, 0.75])
+    grout = ((u * 14) % 1 < 0.05) | ((v * 14) % 1 < 0.05)
+    worn = 0.13 * (1 + 0.3 * tex_noise(u, v, 60, seed + 5, 2))
+    return np.clip(np.where(grout[..., None], worn[..., None], colour), 0.01, 0.9)
+
+
+def dots(seed: int, n: int = 2048) -> np.ndarray:
+    """Green mat with equal white dots, woven from unequal threads."""
+    u, v = uvgrid(n)
+    x, y = (u * 26) % 1 - 0.5, (v * 26) % 1 - 0.5
+    round_ = (x**2 + y**2 < 0.25**2)[..., None]
+    mat = np.where(round_, LIN("f2f0e6"), LIN("2f6b4a"))
+    weave = 1 + 0.1 * tex_noise(u, v, 110, seed, 2) + 0.06 * tex_noise(u, v, 12, seed + 1, 3)
+    return np.clip(mat * weave[..., None], 0.01, 0.9)
+
+
 # ---- rooms
 def _rooms() -> None:
     muted, vivid = env.MUTED, env.VIVID

@@ -1,4 +1,4 @@
-"""The captures: half of them for choosing limits, half for checking only."""
+"""The captures: some for choosing limits, six for checking only."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -52,6 +52,9 @@ RECIPES = {
     "bear": Recipe(o.bear, p.mosaic, "office", p.rings, seed=9),
     "pot": Recipe(o.pot, papers, "studio", p.rings, seed=11, drift=0.05),
     "pyramid": Recipe(o.pyramid, p.stone, "attic", p.spiral, seed=13),
+    "pots": Recipe(o.pot, p.tablecloth, "room_b", p.rings, seed=27),
+    "ingot": Recipe(o.gold_bowl, p.tiles, "office", p.spiral, seed=29, drift=0.05),
+    "idol": Recipe(o.bear, p.dots, "square", p.rings, seed=31),
     "toaster": Recipe(o.toaster, p.gingham, "room_b", p.rings, seed=15, checking=True),
     "jug": Recipe(o.white_jug, p.linen, "office", p.spiral, seed=17, checking=True),
     "cushion": Recipe(o.ball_on_cushion, p.mosaic, "square", p.rings, seed=19, checking=True),

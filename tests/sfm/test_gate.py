@@ -160,6 +160,12 @@ def test_nothing_placed_is_refused_with_a_reason_for_each(views: Views) -> None:
         check_trusted(views, judgement, attempts=3)
 
 
+def test_a_ground_that_repeats_is_named_as_the_cause(views: Views) -> None:
+    judgement = examine(views, Placement(None, repeats=True), least=0.7)
+    with pytest.raises(PoseError, match=r"The ground seems to repeat .* newspaper"):
+        check_trusted(views, judgement, attempts=3)
+
+
 def test_gaps_name_the_photos_on_both_sides(views: Views) -> None:
     judgement = examine(views, placement(ring([25.0 * i for i in range(COUNT)])), least=0.7)
     assert judgement.model is not None

@@ -80,6 +80,30 @@ def test_where_hardly_anything_is_placed_the_slow_rung_is_not_tried(
     assert not any(effort.affine for effort in asked) and len(found.attempts) == 3
 
 
+def test_a_ground_that_repeats_places_what_features_left(
+    views: Views, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("refdgs_pipe.sfm.solve.ground_repeats", lambda *a: True)
+    monkeypatch.setattr("refdgs_pipe.sfm.solve.placed_by_pattern", lambda *a: poses(COUNT))
+
+    def run(arguments: dict[str, Any]) -> tuple[Poses, tuple[str, ...]]:
+        return poses(2), ()
+
+    pictures = plain_images(views, tmp_path)
+    found = solve(views, pictures, PLAIN, masks="auto", scratch=tmp_path, run=run)
+    assert found.repeats and found.poses is not None
+    assert len(found.poses.cam_from_world) == COUNT
+
+
+def test_where_the_background_stands_still_the_pattern_places_nothing(
+    views: Views, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("refdgs_pipe.sfm.solve.ground_repeats", lambda *a: True)
+    monkeypatch.setattr("refdgs_pipe.sfm.solve.placed_by_pattern", lambda *a: poses(COUNT))
+    found, _ = climbed(views, tmp_path, [2, 2, 2])
+    assert found.poses is not None and len(found.poses.cam_from_world) == 2
+
+
 def test_small_photos_are_doubled_at_once_and_not_a_second_time(
     views: Views, tmp_path: Path
 ) -> None:

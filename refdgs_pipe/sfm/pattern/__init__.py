@@ -1,0 +1,1 @@
+"""Photos placed by what tells the repeats of a regular ground apart."""
