@@ -9,6 +9,7 @@ import typer
 from refdgs_pipe import __version__, recipe
 from refdgs_pipe.cli import completion, mask_model
 from refdgs_pipe.cli import workspace as spaces
+from refdgs_pipe.cli.batch.commands import batches
 from refdgs_pipe.cli.check import check_command
 from refdgs_pipe.cli.device import bytes_of, check_device
 from refdgs_pipe.cli.doctor import doctor_command
@@ -59,6 +60,7 @@ recipes = typer.Typer(
     context_settings=HELP_OPTIONS,
 )
 app.add_typer(recipes, name="recipe")
+app.add_typer(batches, name="batch")
 
 
 @app.callback(invoke_without_command=True)
