@@ -39,6 +39,7 @@ LIBRARIES = {
 OPTIONAL = {  # module -> (extra, what needs it)
     "onnxruntime": ("mask-model", "--mask-model"),
     "snakemake": ("batch", "batch run"),
+    "obstore": ("batch", "--cache"),
 }
 ENOUGH_DISK = 5_000_000_000
 ENOUGH_MEMORY = 4_000_000_000

@@ -17,7 +17,7 @@ from refdgs_pipe.cli import doctor, evaluation
 from refdgs_pipe.cli.app import app
 
 SCHEMAS = Path(__file__).parent.parent.parent / "docs" / "schemas"
-GROUPS = ("recipe", "batch")  # commands that have commands
+GROUPS = ("recipe", "batch", "cache")  # commands that have commands
 USED_BY = {  # command -> the schemas of what it prints
     "run": ("run", "plan"),
     "rerun": ("run",),

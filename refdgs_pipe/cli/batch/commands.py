@@ -8,7 +8,7 @@ import typer
 
 from refdgs_pipe import recipe
 from refdgs_pipe.cli import workspace as spaces
-from refdgs_pipe.cli.options import Assignments, Device, DryRun, Json, RecipeName, Threads
+from refdgs_pipe.cli.options import Assignments, Cache, Device, DryRun, Json, RecipeName, Threads
 from refdgs_pipe.documents import write_json_text
 from refdgs_pipe.formatting import counted
 
@@ -29,12 +29,14 @@ def init_command(
     out: Annotated[Path, typer.Option("--out", help="the folder of the batch", metavar="DIR")],
     recipe_name: RecipeName = None,
     assignments: Assignments = None,
+    cache: Cache = None,
 ) -> None:
     """Write captures.tsv, a Snakefile and profiles to edit; or add captures to a batch."""
     from refdgs_pipe.cli.batch.init import init
 
     chosen = recipe_name or recipe.DEFAULT
-    batch, added = init(captures, out, recipe_name=chosen, assignments=assignments or [])
+    sets = assignments or []
+    batch, added = init(captures, out, recipe_name=chosen, assignments=sets, cache=cache)
     words = f"{counted(added, 'capture')} added, {len(batch.captures)} in all"
     print(f"{words}. Next: refdgs-pipe batch run {out}", file=sys.stderr)
     print(batch.root)

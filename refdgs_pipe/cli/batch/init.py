@@ -12,6 +12,7 @@ from refdgs_pipe.errors import CaptureError, InputError
 from refdgs_pipe.formatting import printable
 from refdgs_pipe.pipeline.atomic import disk_errors, write_text
 from refdgs_pipe.pipeline.store import Store
+from refdgs_pipe.sharing.places import check_place, look_at
 
 PROFILES = ("local", "slurm", "kubernetes")
 SNAKEFILE = "Snakefile"
@@ -38,6 +39,7 @@ def init(
         WriteError: the folder cannot be written.
     """
     root = absolute(root)
+    cache = None if cache is None else check_place(cache)
     captures = [absolute(path) for path in dict.fromkeys(paths)]
     for path in captures:
         if not path.exists():
@@ -52,6 +54,8 @@ def init(
     names = named(new, [capture.name for capture in there.captures])
     recipe, sets = absolute_recipe(recipe_name), tuple(assignments)
     added = tuple(Capture(name, path, recipe, sets) for name, path in names)
+    if cache is not None:
+        look_at(cache)
     batch = Batch(root, (*there.captures, *added), cache or there.cache)
     if added:
         batch.open(added[0])  # a wrong setting is said now, and not by every job

@@ -17,6 +17,7 @@ from refdgs_pipe.cli.batch.parts import FOLDER, settle
 from refdgs_pipe.cli.batch.standing import Standing, describe, standings
 from refdgs_pipe.cli.batch.table import Batch
 from refdgs_pipe.cli.device import core_count, has_driver
+from refdgs_pipe.cli.running import shared_by
 from refdgs_pipe.cli.signals import SIGNALS
 from refdgs_pipe.errors import Cancelled, InputError, Interrupted, WorkspaceBusy
 from refdgs_pipe.formatting import printable
@@ -51,7 +52,8 @@ def run(batch: Batch, plan: Plan) -> list[Standing]:
     """Bring every capture of a batch to its end. Return how they stand afterwards.
 
     Raises:
-        InputError: Snakemake is not installed, or there is no such profile.
+        InputError: Snakemake is not installed, there is no such profile, or no such cache.
+        DiskFault: the cache cannot be reached.
         WorkspaceBusy: the batch is running already.
         Cancelled: a signal came. What is finished is kept.
     """
@@ -62,6 +64,7 @@ def run(batch: Batch, plan: Plan) -> list[Standing]:
         raise InputError(
             "batch run needs Snakemake 9: pip install 'snakemake<10' (the extra batch)"
         )
+    shared_by(batch.cache)  # said once here, not by every job
     with _held(batch.root) as lock:
         open_ = [
             c.name for c in batch.captures if not settle(batch, c, retry_failed=plan.retry_failed)

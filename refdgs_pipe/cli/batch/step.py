@@ -20,7 +20,9 @@ from refdgs_pipe.cli.workspace import Workspace, is_workspace
 from refdgs_pipe.errors import InputError, RefdgsError, WorkspaceBusy
 from refdgs_pipe.formatting import printable, printable_lines
 from refdgs_pipe.pipeline.catalog import PUBLISHED
+from refdgs_pipe.pipeline.events import Event, Fetched
 from refdgs_pipe.pipeline.plan import Step
+from refdgs_pipe.sharing.places import open_place
 from refdgs_pipe.trouble import explained
 
 _PAUSE_S = 0.5
@@ -98,10 +100,22 @@ def _attempt(work: _Work) -> Result:
     space = work.batch.open(work.capture)
     with _alone(space, work.how.wait_s), _device(work.how.device) as device:
         asked = requests(space)[work.part]
-        options = Options(until=ENDS[work.part], device=device, threads=work.how.threads)
-        steps, made = bring_up_to(space, options)
+        cache = work.batch.cache
+        options = Options(
+            until=ENDS[work.part],
+            device=device,
+            threads=work.how.threads,
+            shared=open_place(cache) if cache else None,
+        )
+        fetched: list[str] = []
+
+        def hear(event: Event) -> None:
+            if isinstance(event, Fetched):
+                fetched.append(event.stage)
+
+        steps, made = bring_up_to(space, options, also=hear)
         result = work.result("done", asked)
-        changes: dict[str, Any] = {"made": made, "device": device}
+        changes: dict[str, Any] = {"made": made, "fetched": fetched, "device": device}
         if work.part == "finish":
             changes |= _finished(work, space, steps)
         return _write(work, result, changes)
