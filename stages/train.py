@@ -11,7 +11,7 @@ from refdgs_pipe.pipeline.stage import Job, stage
 from refdgs_pipe.training.settings import TrainParams
 
 
-@stage(version=15)
+@stage(version=15, by_device=True)
 def train(
     views: Views, masks: Masks, model: SparseModel, start: Start, params: TrainParams, job: Job
 ) -> Checkpoint:

@@ -204,7 +204,9 @@ class _Run:
     def _record(self, stage: Stage, seconds: float, listener: "_Listener") -> Record:
         reads_source = self.pipeline.source in stage.inputs.values()
         files = self.mark.files if reads_source else {}
-        return Record(seconds, files, tuple(listener.measures), tuple(listener.warnings))
+        made_on = [("device", str(self.device), "")] if stage.by_device else []
+        measures = (*listener.measures, *made_on)
+        return Record(seconds, files, measures, tuple(listener.warnings))
 
     def _publish(self, origin: Origin, manifest: Manifest, name: str) -> None:
         try:
