@@ -68,8 +68,9 @@ def standing(batch: Batch, capture: Capture) -> Standing:
     if now := activity(root):
         return Standing(name, photos, "running", part, now.words, **shared)
     tried = attempts[part]
-    if tried.running or tried.exit_code:
-        words = tried.message or "killed, or the machine went away"
+    log = batch.root / "logs" / f"{name}.{part}.log"
+    if tried.running or tried.exit_code or log.is_file():
+        words = tried.message or f"killed, or could not start: {log.relative_to(batch.root)}"
         return Standing(name, photos, "to retry", part, words, tried.exit_code, **shared)
     return Standing(name, photos, "waiting", part, **shared)
 
