@@ -7,7 +7,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from refdgs_pipe.errors import InputError
+from refdgs_pipe.errors import DiskFault, InputError
 from refdgs_pipe.formatting import printable
 from refdgs_pipe.sharing.objects import RECORDS, Objects, store_errors
 
@@ -35,15 +35,21 @@ def check_place(place: str) -> str:
     return place.rstrip("/")
 
 
-def open_place(place: str) -> Objects:
+def open_place(place: str, *, make: bool = False) -> Objects:
     """The shared results at a place. Nothing is asked of it yet.
 
     Credentials come from the standard environment variables or the machine's own role.
 
+    Args:
+        make: make the folder if only it is missing.
+
     Raises:
         InputError: it is none that we know, obstore is not installed, or a variable is wrong.
+        DiskFault: the folder is not there.
     """
     place = check_place(place)
+    if "://" not in place and not (Path(place).parent if make else Path(place)).is_dir():
+        raise DiskFault(f"--cache {printable(place)}: no such folder here. Mount it, or make it")
     if find_spec("obstore") is None:
         raise InputError("--cache needs obstore: pip install obstore (extra: batch)")
     return Objects(_store(place), place)
@@ -56,7 +62,7 @@ def look_at(place: str) -> Objects:
         InputError: as `open_place`, or it may not be read.
         DiskFault: it cannot be reached.
     """
-    found = open_place(place)
+    found = open_place(place, make=True)
     from obstore.exceptions import PermissionDeniedError, UnauthenticatedError
 
     with store_errors(found.place):

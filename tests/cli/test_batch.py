@@ -299,6 +299,16 @@ def test_a_second_run_of_a_batch_is_refused_and_a_stopped_one_goes_on(shell: Bat
 
 
 @needs_snakemake
+def test_a_batch_may_be_in_a_folder_with_an_odd_name(tmp_path: Path) -> None:
+    root = tmp_path / "a b's: {x} [1]"
+    root.mkdir()
+    shell = BatchShell(root)
+    shell.init(ball="hello")
+    shell("batch", "run", "B", "--cores", "1")
+    assert shell.states() == {"ball": "done"}
+
+
+@needs_snakemake
 def test_an_unknown_profile_is_named(shell: BatchShell) -> None:
     shell.init(ball="hello")
     said = shell("batch", "run", "B", "--profile", "moon", code=64).stderr

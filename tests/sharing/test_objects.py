@@ -17,7 +17,7 @@ from refdgs_pipe.pipeline.shared import Sharing
 from refdgs_pipe.pipeline.store import Store
 from refdgs_pipe.sharing import upkeep
 from refdgs_pipe.sharing.objects import Objects, bytes_path, record_path
-from refdgs_pipe.sharing.places import check_place
+from refdgs_pipe.sharing.places import check_place, look_at, open_place
 
 obstore = pytest.importorskip("obstore", reason="obstore is not installed: the extra batch")
 from obstore.exceptions import GenericError  # noqa: E402
@@ -86,6 +86,19 @@ def test_the_layout_is_records_by_key_and_bytes_by_hash(tmp_path: Path, objects:
     digests = {digest for _, digest in manifest.files.values()}
     assert found == {f"ac/train/{ORIGIN.key}.json"} | {f"cas/{d[:2]}/{d}" for d in digests}
     assert len(digests) == 3  # equal files are one
+
+
+def test_requests_are_one_for_each_file_and_three_for_the_record(tmp_path: Path) -> None:
+    farm = Machine(tmp_path / "farm", Objects(MemoryStore(), "memory"))
+    assert farm.fetch() is None
+    farm.make()
+    assert farm.objects.requests == {"get": 1, "head": 1 + 4, "put": 3 + 1}
+    later = Objects(farm.objects.store, "memory")
+    Sharing(later, farm.store, print).offer(farm.store.find(ORIGIN))  # type: ignore[arg-type]
+    assert later.requests == {"head": 1}
+    laptop = Machine(tmp_path / "laptop", Objects(farm.objects.store, "memory"))
+    laptop.fetch()
+    assert laptop.objects.requests == {"get": 1 + 4}
 
 
 def test_what_is_not_shared_is_made_here(tmp_path: Path, objects: Objects) -> None:
@@ -403,6 +416,15 @@ def test_a_young_file_without_a_record_stays(tmp_path: Path, objects: Objects) -
 def test_a_place_that_cannot_be_meant_is_refused(place: str) -> None:
     with pytest.raises(InputError, match="expected s3://"):
         check_place(place)
+
+
+def test_a_folder_that_is_not_mounted_may_be_there_later(tmp_path: Path) -> None:
+    with pytest.raises(DiskFault, match="no such folder here"):
+        open_place(str(tmp_path / "share"))
+    with pytest.raises(DiskFault, match="no such folder here"):
+        look_at(str(tmp_path / "mnt" / "share"))
+    look_at(str(tmp_path / "share"))
+    open_place(str(tmp_path / "share"))
 
 
 def test_reading_a_record_of_another_size_is_refused_before_it_is_read(objects: Objects) -> None:
