@@ -3,6 +3,7 @@
 import secrets
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from typing import Any
@@ -74,7 +75,7 @@ def verify(objects: Objects, *, delete: bool = False) -> Verified:
                 found.bad[path] = words
     if delete:
         gone = {user for path in found.bad for user in users.get(path, [])}
-        _delete(objects, [*gone, *found.bad])  # records first
+        _delete(objects, {*gone, *found.bad})
     return found
 
 
@@ -96,7 +97,7 @@ def collect(
     goes: list[str] = []
     for meta in _list(objects, RECORDS):
         name = meta["path"].removeprefix(f"{RECORDS}/").removesuffix(".json")
-        old = now - meta["last_modified"] > older_than and not keep(name)
+        old = now - meta["last_modified"] >= older_than and not keep(name)
         (goes if old else stays).append(meta["path"])
     files = {m["path"]: m for m in _list(objects, BYTES) if now - m["last_modified"] > GRACE}
     known = {*stays, *goes}
@@ -106,7 +107,7 @@ def collect(
             for _, digest in manifest.files.values():
                 files.pop(bytes_path(digest), None)
     if not dry_run:
-        _delete(objects, [*goes, *files])  # records first: no record is ever without its files
+        _delete(objects, {*goes, *files})
     return Collected(len(goes), len(files), sum(meta["size"] for meta in files.values()))
 
 
@@ -143,14 +144,19 @@ def _now(objects: Objects) -> datetime:
     return now
 
 
-def _delete(objects: Objects, paths: list[str]) -> None:
-    """Delete paths in order; what is gone already does not matter."""
-    for path in paths:
-        with store_errors(objects.place):
-            try:
-                objects.store.delete(path)
-            except FileNotFoundError:
-                continue
+def _delete(objects: Objects, paths: set[str]) -> None:
+    """Delete records, then bytes, so that no record is ever without its files."""
+    for prefix in (RECORDS, BYTES):
+        there = sorted(path for path in paths if path.startswith(f"{prefix}/"))
+        for start in range(0, len(there), _AT_ONCE):
+            some = there[start : start + _AT_ONCE]
+            with store_errors(objects.place):
+                try:
+                    objects.store.delete(some)
+                except FileNotFoundError:  # somebody else deleted one of them
+                    for path in some:
+                        with suppress(FileNotFoundError):
+                            objects.store.delete(path)
 
 
 def described(found: Verified) -> list[str]:

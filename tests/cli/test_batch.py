@@ -194,8 +194,11 @@ def test_a_result_of_another_capture_or_a_damaged_one_counts_for_nothing(
     steps = shell.batch / "steps"
     (steps / "cup").mkdir()
     (steps / "cup" / "finish.json").write_text((steps / "ball" / "finish.json").read_text())
-    (steps / "ball" / "finish.json").write_text('{"capture": "ball"')
-    assert shell.states() == {"ball": "waiting", "cup": "waiting"}
+    whole = json.loads((steps / "ball" / "finish.json").read_text())
+    damages = [{"verdict": "good"}, {"verdict": {"word": "good"}}, {"asset": 1}, {"seconds": ""}]
+    for text in ['{"capture": "ball"', *(json.dumps(whole | damage) for damage in damages)]:
+        (steps / "ball" / "finish.json").write_text(text)
+        assert shell.states() == {"ball": "waiting", "cup": "waiting"}
 
 
 def test_the_page_links_every_report_and_names_cannot_become_markup(shell: BatchShell) -> None:
@@ -210,6 +213,7 @@ def test_the_page_links_every_report_and_names_cannot_become_markup(shell: Batch
     page = (shell.batch / "report.html").read_text()
     assert '<a href="workspaces/ball.refdgs/report.html">ball</a>' in page
     assert '<img src="workspaces/ball.refdgs/asset/preview.png"' in page
+    assert "img-src 'self' file:" in page
     assert "<script>alert" not in page and "&lt;script&gt;alert" in page
 
 

@@ -72,8 +72,17 @@ class Result:
             write_json(path, asdict(self))
 
     def _is_sound(self) -> bool:
-        kinds = {"status": str, "asked": str, "message": str, "exit_code": int, "made": dict}
-        return all(isinstance(getattr(self, key), kind) for key, kind in kinds.items())
+        kinds: dict[str, Any] = {
+            **dict.fromkeys(("status", "asked", "message"), str),
+            **dict.fromkeys(("asset", "report"), str | None),
+            **{"exit_code": int, "seconds": int | float, "made": dict, "warnings": list},
+        }
+        if not all(isinstance(getattr(self, key), kind) for key, kind in kinds.items()):
+            return False
+        verdict = {"word": "", "score": 0.0} if self.verdict is None else self.verdict
+        if not isinstance(verdict, dict) or not isinstance(verdict.get("word"), str):
+            return False
+        return isinstance(verdict.get("score"), int | float)
 
 
 @dataclass(frozen=True)
