@@ -10,7 +10,7 @@ from refdgs_pipe.pipeline.stage import Job, stage
 from refdgs_pipe.surface.settings import CleanParams
 
 
-@stage(version=8, programs=("pymeshlab", "open3d-cpu"))
+@stage(version=8, programs=("pymeshlab", "open3d-cpu"), by_device=True)
 def clean(
     raw: RawMesh, field: SurfelField, model: SparseModel, params: CleanParams, job: Job
 ) -> Mesh:

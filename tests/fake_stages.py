@@ -1,5 +1,6 @@
 """Small stages with the shape of the real ones, for tests of the engine and the command line."""
 
+import fcntl
 import json
 import os
 import time
@@ -108,6 +109,9 @@ def read(letters: Letters, params: ReadParams, job: Job) -> Words:
 @stage(version=1)
 def shout(words: Words, params: ShoutParams, job: Job) -> Shout:
     """Work in small steps with checkpoints, like training."""
+    if "FAKE_ALONE" in os.environ:  # held until the process ends: two at once are a mistake
+        alone = os.open(job.scratch / "alone", os.O_RDWR | os.O_CREAT)
+        fcntl.flock(alone, fcntl.LOCK_EX | fcntl.LOCK_NB)
     note = job.scratch / "done"
     done = int(note.read_text()) if note.exists() else 0
     pause_s = float(os.environ.get("FAKE_STEP_S", "0"))

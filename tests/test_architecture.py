@@ -172,6 +172,11 @@ def test_every_stage_is_a_file_of_its_own_name() -> None:
     assert [stage.name for stage in load_stages()] == list(STAGES)
 
 
+def test_a_stage_that_uses_a_device_says_in_its_record_which() -> None:
+    uses = {p.stem for p in (ROOT / "stages").glob("*.py") if "job.device" in p.read_text()}
+    assert {stage.name for stage in load_stages() if stage.by_device} == uses
+
+
 def groups() -> list[type[Params]]:
     """Every group of settings that a stage takes, nested ones too."""
     found = [stage.params for stage in load_stages()]

@@ -14,7 +14,13 @@ import pytest
 ROOT = Path(__file__).parent.parent
 LICENSES = {"LICENSE", "csrc/nanobind.LICENSE"}
 LICENSES |= {"refdgs_pipe/reporting/assets/model-viewer-4.4.0.LICENSE"}
-PARTS = {"refdgs_pipe/py.typed", "refdgs_pipe/recipes/glossy.toml", "refdgs_pipe/stages/train.py"}
+PARTS = {
+    "refdgs_pipe/cli/batch/Snakefile",
+    "refdgs_pipe/cli/batch/profiles/slurm.yaml",
+    "refdgs_pipe/py.typed",
+    "refdgs_pipe/recipes/glossy.toml",
+    "refdgs_pipe/stages/train.py",
+}
 PARTS |= {"refdgs_pipe/reporting/assets/model-viewer-4.4.0.umd.min.js", "refdgs_pipe/api.py"}
 
 

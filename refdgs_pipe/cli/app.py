@@ -9,6 +9,8 @@ import typer
 from refdgs_pipe import __version__, recipe
 from refdgs_pipe.cli import completion, mask_model
 from refdgs_pipe.cli import workspace as spaces
+from refdgs_pipe.cli.batch.commands import batches
+from refdgs_pipe.cli.cache import caches
 from refdgs_pipe.cli.check import check_command
 from refdgs_pipe.cli.device import bytes_of, check_device
 from refdgs_pipe.cli.doctor import doctor_command
@@ -16,6 +18,7 @@ from refdgs_pipe.cli.ending import end_with
 from refdgs_pipe.cli.mat import mat_command
 from refdgs_pipe.cli.options import (
     Assignments,
+    Cache,
     CudaGraph,
     Device,
     DryRun,
@@ -34,7 +37,7 @@ from refdgs_pipe.cli.options import (
     Verify,
     Vram,
 )
-from refdgs_pipe.cli.running import Options, make, print_plan, within
+from refdgs_pipe.cli.running import Options, make, print_plan, shared_by, within
 from refdgs_pipe.cli.status import status_command
 from refdgs_pipe.cli.verify import make_sound
 from refdgs_pipe.documents import write_json_text
@@ -59,6 +62,8 @@ recipes = typer.Typer(
     context_settings=HELP_OPTIONS,
 )
 app.add_typer(recipes, name="recipe")
+app.add_typer(batches, name="batch")
+app.add_typer(caches, name="cache")
 
 
 @app.callback(invoke_without_command=True)
@@ -92,6 +97,7 @@ def run_command(
         str | None,
         typer.Option("--mask-model", help="masks by your own network, ONNX", metavar="FILE"),
     ] = None,
+    cache: Cache = None,
     dry_run: DryRun = False,
     verify: Verify = False,
     device: Device = "auto",
@@ -116,7 +122,7 @@ def run_command(
     again = within(space, again, until)
     verbosity = 0 if quiet else 2 if verbose else 1
     how = (device, threads, as_json, strict, verbosity, limit, cuda_graph)
-    options = Options(until, frozenset(again), *how)
+    options = Options(until, frozenset(again), *how, shared=shared_by(cache))
     if dry_run:
         print_plan(space, options)
         return

@@ -7,10 +7,11 @@ from types import TracebackType
 from typing import Any, Self
 
 from refdgs_pipe.cli.forecast import Forecast
-from refdgs_pipe.formatting import duration, figure, merged, printable_lines, roughly
+from refdgs_pipe.formatting import duration, figure, merged, printable_lines, roughly, size
 from refdgs_pipe.pipeline.events import (
     Damaged,
     Event,
+    Fetched,
     Finished,
     Measured,
     Progress,
@@ -101,6 +102,10 @@ class Console:
             if self.forecast is not None:
                 self.forecast.modelled.pop(event.stage, None)
             self.say(f"{event.stage}: up to date")
+        elif isinstance(event, Fetched):
+            if self.forecast is not None:
+                self.forecast.modelled.pop(event.stage, None)
+            self.say(f"{event.stage}: fetched, {size(event.size)}")
         elif isinstance(event, Started):
             self._started, self._shown, self._first, self._label = now, now, True, ""
             why = "" if event.reason == NEVER_RUN else f" ({event.reason})"

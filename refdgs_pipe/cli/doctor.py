@@ -36,7 +36,11 @@ LIBRARIES = {
     "pxr": ("usd-core", ""),
     "safetensors": ("safetensors", ""),
 }
-OPTIONAL = {"onnxruntime": ("mask-model", "--mask-model")}  # module -> (extra, what needs it)
+OPTIONAL = {  # module -> (extra, what needs it)
+    "onnxruntime": ("mask-model", "--mask-model"),
+    "snakemake": ("batch", "batch run"),
+    "obstore": ("batch", "--cache"),
+}
 ENOUGH_DISK = 5_000_000_000
 ENOUGH_MEMORY = 4_000_000_000
 

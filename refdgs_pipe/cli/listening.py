@@ -7,7 +7,7 @@ from refdgs_pipe.cli.early import early_lines
 from refdgs_pipe.cli.forecast import forecast
 from refdgs_pipe.cli.logs import RunLog
 from refdgs_pipe.cli.workspace import Workspace
-from refdgs_pipe.pipeline.events import Emit, Event, Finished, Reused, Started
+from refdgs_pipe.pipeline.events import Emit, Event, Fetched, Finished, Reused, Started
 from refdgs_pipe.pipeline.plan import Step
 
 TRAINING = ("start", "train")  # the first stages that take long, whichever there is
@@ -37,7 +37,7 @@ class Listener:
         self.log(event)
         if isinstance(event, Started):
             self._before_stage(event.stage)
-        elif isinstance(event, Reused):
+        elif isinstance(event, Reused | Fetched):
             self._drop(event.stage)
         self.console(event)
         self.also(event)

@@ -40,6 +40,10 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="only warnings and er
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="every measured figure too")]
 Strict = Annotated[bool, typer.Option("--strict", help="exit with 3 on warnings or a poor verdict")]
 Verify = Annotated[bool, typer.Option("--verify", help="first compare every file with its record")]
+Cache = Annotated[
+    str | None,
+    typer.Option("--cache", help="share results: s3://, gs://, az:// or a folder", metavar="PLACE"),
+]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="only say what would be done")]
 
 

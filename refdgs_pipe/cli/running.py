@@ -25,6 +25,7 @@ from refdgs_pipe.pipeline.catalog import PUBLISHED
 from refdgs_pipe.pipeline.events import Emit
 from refdgs_pipe.pipeline.plan import Step
 from refdgs_pipe.pipeline.runner import Request, run
+from refdgs_pipe.pipeline.shared import Shared
 from refdgs_pipe.stage_words import doing
 
 DEGRADED = 3  # exit code of --strict when there were warnings, or the result is poor
@@ -43,6 +44,21 @@ class Options:
     verbosity: int = 1
     vram: int = 0  # bytes, 0: no limit
     cuda_graph: bool | None = None  # None: where recorded steps prove equal
+    shared: Shared | None = None  # results of other machines
+
+
+def shared_by(place: str | None) -> Shared | None:
+    """The shared results that --cache names, after a first request; None where it names none.
+
+    Raises:
+        InputError: there is no such place, or obstore is not installed.
+        DiskFault: it cannot be reached.
+    """
+    if place is None:
+        return None
+    from refdgs_pipe.sharing.places import look_at
+
+    return look_at(place)
 
 
 def make(workspace: Workspace, options: Options) -> int:
@@ -131,6 +147,7 @@ def _run_logged(
             cuda_graph=options.cuda_graph,
             stop=stopper.stop,
             publish=PUBLISHED,
+            shared=options.shared,
         )
         log.write("run", workspace=str(workspace.root), settings=settings_json(workspace))
         try:

@@ -74,10 +74,20 @@ class Damaged:
 
 
 @dataclass(frozen=True)
+class Fetched:
+    """A stage's result came from the shared ones; `size` is its bytes."""
+
+    stage: str
+    size: int
+
+
+@dataclass(frozen=True)
 class Finished:
     stage: str
     seconds: float
 
 
-Event: TypeAlias = Reused | Started | Progress | Sampled | Measured | Warned | Damaged | Finished
+Event: TypeAlias = (
+    Reused | Fetched | Started | Progress | Sampled | Measured | Warned | Damaged | Finished
+)
 Emit: TypeAlias = Callable[[Event], None]

@@ -19,7 +19,7 @@ from refdgs_pipe.pipeline.fingerprint import combine, hash_file
 MANIFEST = "manifest.json"
 SCHEMA = 1  # raised when the layout of results changes
 KEY = re.compile(r"[0-9a-f]{16}")
-_LIMIT = 64_000_000  # bytes of a manifest
+LIMIT = 64_000_000  # bytes of a manifest
 MISSING = (FileNotFoundError, NotADirectoryError)
 
 
@@ -88,10 +88,30 @@ class Manifest:
         try:
             if folder.is_symlink() or folder.parent.is_symlink():
                 raise ValueError("its folder is a link. A workspace holds no links")
-            record = parse_json(read_text(path, limit=_LIMIT, follow=False))
-            return cls._checked(record, folder)
-        except (ValueError, TypeError, KeyError, AttributeError, *MISSING) as error:
+            text = read_text(path, limit=LIMIT, follow=False)
+        except (ValueError, *MISSING) as error:
             raise CorruptError(f"{path}: not readable ({printable(error)})") from None
+        return cls.parse(text, folder, where=str(path))
+
+    @classmethod
+    def parse(cls, text: str, folder: Path, *, where: str, strict: bool = False) -> Self:
+        """The record that a text holds, checked as `read` does.
+
+        Args:
+            folder: STAGE/KEY, of which only the names are looked at.
+            where: what an error names.
+            strict: a record without a checksum is refused.
+
+        Raises:
+            CorruptError: it is damaged, or that of another result.
+        """
+        try:
+            record = parse_json(text)
+            if strict and "checksum" not in record:
+                raise ValueError("it has no checksum")
+            return cls._checked(record, folder)
+        except (ValueError, TypeError, KeyError, AttributeError) as error:
+            raise CorruptError(f"{where}: not readable ({printable(error)})") from None
 
     @classmethod
     def _checked(cls, record: dict[str, Any], folder: Path) -> Self:

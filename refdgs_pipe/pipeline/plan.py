@@ -1,5 +1,6 @@
 """Stages in order over one workspace: how they are wired, and how each of them stands."""
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
@@ -9,7 +10,7 @@ from typing import Literal, TypeAlias
 from refdgs_pipe.errors import CorruptError, InputError
 from refdgs_pipe.params import Params
 from refdgs_pipe.pipeline.atomic import disk_errors, remove
-from refdgs_pipe.pipeline.fingerprint import Fingerprint, fingerprint, hash_path
+from refdgs_pipe.pipeline.fingerprint import Fingerprint, combine, fingerprint, hash_path
 from refdgs_pipe.pipeline.reasons import why
 from refdgs_pipe.pipeline.stage import Source, Stage
 from refdgs_pipe.pipeline.store import Manifest, Origin, Record, Store, load
@@ -84,6 +85,18 @@ class Pipeline:
             if made & set(stage.inputs.values()):
                 made.add(stage.output)
         return frozenset(stage.name for stage in self.stages if stage.output in made)
+
+    def request(self, until: str | None, source: Fingerprint, settings: Settings) -> str:
+        """One hash of all that a run up to a stage is made from: photos, settings, programs.
+
+        While it stays the same, the run gives the same result, or fails for the same reason.
+        """
+        facts = {"source": source.digest}
+        for stage in self.needed_for(until):
+            programs = {name: _version(name) for name in stage.programs}
+            params = settings[stage.name].hashed()[0]
+            facts[stage.name] = json.dumps([stage.version, params, programs], sort_keys=True)
+        return combine(facts)
 
     def fingerprint(self, source: Source) -> Fingerprint:
         """Hash the source; files with unchanged size and times are not read again."""

@@ -12,6 +12,7 @@ from refdgs_pipe.pipeline.events import (
     Damaged,
     Emit,
     Event,
+    Fetched,
     Finished,
     Measured,
     Reused,
@@ -19,6 +20,7 @@ from refdgs_pipe.pipeline.events import (
     Warned,
 )
 from refdgs_pipe.pipeline.plan import Pipeline, Settings, Step
+from refdgs_pipe.pipeline.shared import Shared, Sharing
 from refdgs_pipe.pipeline.stage import Artifact, Job, Source, Stage
 from refdgs_pipe.pipeline.store import Manifest, Origin, Record, load
 
@@ -32,6 +34,7 @@ class Request:
         force: make these again, even if they are up to date.
         device: asked once, when the first stage starts; gives "cpu" or "cuda".
         publish: stage name -> the folder of the workspace that shows its newest result.
+        shared: results of other machines; what is there is not made.
     """
 
     until: str | None = None
@@ -42,6 +45,7 @@ class Request:
     cuda_graph: bool | None = None
     stop: Flag = field(default_factory=Flag)
     publish: Mapping[str, str] = field(default_factory=dict)
+    shared: Shared | None = None
 
 
 def run(
@@ -94,6 +98,7 @@ class _Run:
         self.again: set[str] = set()  # keys of results that were set aside
         self.damages: dict[str, str] = {}  # stage -> what was wrong with its result
         self.device: str | None = None
+        self.sharing = Sharing(request.shared, self.store, lambda s, words: emit(Warned(s, words)))
 
     def make(self, stage: Stage) -> Step:
         """The stage with its result, made now if it is not there."""
@@ -106,6 +111,8 @@ class _Run:
         assert origin is not None  # every earlier stage is done by now
         if step.state == "damaged":
             raise _DamagedResult(origin, step.reason.removeprefix("damaged: "))
+        if step.manifest is None and stage.name not in self.to_force:
+            step = self._fetch(step, origin)
         if step.manifest is None or stage.name in self.to_force:
             step = self._execute(step, origin)
         elif stage.name not in self.reported:
@@ -113,10 +120,21 @@ class _Run:
             self.store.drop_scratch(origin)
             self.emit(Reused(stage.name))
         self.store.use(origin)
+        if step.manifest is not None:
+            self.sharing.offer(step.manifest)
         if step.manifest and (name := self.request.publish.get(stage.name)):
             self._publish(origin, step.manifest, name)
         self.done[stage.output] = step
         return step
+
+    def _fetch(self, step: Step, origin: Origin) -> Step:
+        """The stage with its result from the shared ones; as it was if it is not there."""
+        manifest = self.sharing.bring(origin)
+        if manifest is None:
+            return step
+        self.reported.add(step.stage.name)
+        self.emit(Fetched(step.stage.name, sum(size for size, _ in manifest.files.values())))
+        return replace(step, state="up to date", reason="shared", manifest=manifest)
 
     def set_aside(self, damage: _DamagedResult) -> None:
         """Move a damaged result out of the way, so that it is made again."""
@@ -186,7 +204,9 @@ class _Run:
     def _record(self, stage: Stage, seconds: float, listener: "_Listener") -> Record:
         reads_source = self.pipeline.source in stage.inputs.values()
         files = self.mark.files if reads_source else {}
-        return Record(seconds, files, tuple(listener.measures), tuple(listener.warnings))
+        made_on = [("device", str(self.device), "")] if stage.by_device else []
+        measures = (*listener.measures, *made_on)
+        return Record(seconds, files, measures, tuple(listener.warnings))
 
     def _publish(self, origin: Origin, manifest: Manifest, name: str) -> None:
         try:

@@ -96,18 +96,22 @@ class Stage:
     output: type[Artifact]
     run: Callable[..., Artifact]
     programs: tuple[str, ...] = ()  # distributions whose version is part of the key
+    by_device: bool = False  # CPU and GPU give slightly different results; the record says which
 
 
-def stage(version: int, programs: tuple[str, ...] = ()) -> Callable[[Callable[..., Any]], Stage]:
+def stage(
+    version: int, programs: tuple[str, ...] = (), *, by_device: bool = False
+) -> Callable[[Callable[..., Any]], Stage]:
     """Declare a stage. Its signature says the rest: artifacts, `params` and `job` in, artifact out.
 
     Raise `version` whenever equal inputs and parameters would give a different result.
     `programs` names the installed distributions ("pycolmap") whose versions join the key.
+    `by_device`: a GPU gives a slightly different result, so the record names the device.
     """
 
     def declare(run: Callable[..., Any]) -> Stage:
         types = get_type_hints(run)
         output, params, _ = types.pop("return"), types.pop("params"), types.pop("job")
-        return Stage(run.__name__, version, types, params, output, run, programs)
+        return Stage(run.__name__, version, types, params, output, run, programs, by_device)
 
     return declare

@@ -6,7 +6,7 @@ that the result can be reused.
 """
 
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from os import stat_result
@@ -164,13 +164,38 @@ class Store:
             digest = digest_of(files)
             made = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
             manifest = Manifest(origin, digest, made_utc=made, files=files, **vars(record))
-            sync_tree(partial)
-            write_json(partial / MANIFEST, manifest.record())
-            publish(partial, self.folder(origin))
-            self._sound[self.folder(origin)] = _times(self.folder(origin), manifest)
-            sync(self.root)
-            self.drop_scratch(origin)
+            self._publish_result(partial, manifest)
         return manifest
+
+    def receive(self, manifest: Manifest, fill: Callable[[Path], None]) -> None:
+        """Publish a result that was made elsewhere, as `commit` publishes ours.
+
+        Args:
+            fill: writes the files into an empty folder, each compared with its hash.
+
+        Raises:
+            CorruptError: the files are not those of the record.
+            WriteError: the disk is full or cannot be written.
+        """
+        with disk_errors(self.root):
+            partial = self.partial(manifest.origin)
+            try:
+                fill(partial)
+                check_sizes(partial, manifest)
+                self._publish_result(partial, manifest)
+            except Exception:
+                remove(partial)
+                raise
+
+    def _publish_result(self, partial: Path, manifest: Manifest) -> None:
+        """Write the record last, and give the folder its name."""
+        folder = self.folder(manifest.origin)
+        sync_tree(partial)
+        write_json(partial / MANIFEST, manifest.record())
+        publish(partial, folder)
+        self._sound[folder] = _times(folder, manifest)
+        sync(self.root)
+        self.drop_scratch(manifest.origin)
 
     def sweep(self, stages: Iterable[str]) -> None:
         """Delete what killed runs left half-made, of these stages and of published folders."""

@@ -39,6 +39,7 @@ MEASURES = {
     "masks": "why there are none",
     "network": "the network that made the masks",
     "object shown": "share of the object's ball that the photos show",
+    "device": "what made it; a CPU and a GPU give slightly different results",
     "steps": "steps of training",
     "loss": "what training makes small",
     "train PSNR": "likeness to the photos of the training",

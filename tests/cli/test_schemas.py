@@ -8,6 +8,7 @@ from typing import Any
 import jsonschema
 import pytest
 import typer
+from batches import BatchShell
 from captures import write_photos
 from shells import Shell
 
@@ -16,6 +17,7 @@ from refdgs_pipe.cli import doctor, evaluation
 from refdgs_pipe.cli.app import app
 
 SCHEMAS = Path(__file__).parent.parent.parent / "docs" / "schemas"
+GROUPS = ("recipe", "batch", "cache")  # commands that have commands
 USED_BY = {  # command -> the schemas of what it prints
     "run": ("run", "plan"),
     "rerun": ("run",),
@@ -26,6 +28,7 @@ USED_BY = {  # command -> the schemas of what it prints
     "bench": ("bench",),
     "doctor": ("doctor",),
     "check": ("check",),
+    "batch status": ("batch-status",),
     "recipe list": ("recipe-list",),
     "recipe show": ("recipe-show",),
 }
@@ -68,8 +71,8 @@ def shell(tmp_path: Path) -> Shell:
 def test_every_command_with_json_has_a_schema_and_no_schema_is_without_a_command() -> None:
     group: Any = typer.main.get_command(app)
     commands = {
-        **{name: command for name, command in group.commands.items() if name != "recipe"},
-        **{f"recipe {name}": c for name, c in group.commands["recipe"].commands.items()},
+        **{name: command for name, command in group.commands.items() if name not in GROUPS},
+        **{f"{g} {name}": c for g in GROUPS for name, c in group.commands[g].commands.items()},
     }
     with_json = {
         name
@@ -101,6 +104,24 @@ def test_a_bench_prints_what_its_schema_says(tmp_path: Path) -> None:
     record = shell.json("bench", "letters", "bad", "--out", "out", code=67, FAKE_BENCH="1")
     assert {cell["status"] for cell in record["cells"]} == {"done", "failed"}
     holds("bench", record)
+
+
+def test_the_status_of_a_batch_is_what_its_schema_says(tmp_path: Path) -> None:
+    shell = BatchShell(tmp_path)
+    shell.init(ball="hello", bad="unusable", cup="fail 28", vase="world")
+    shell.step("bad", "prepare")
+    shell.step("cup", "prepare", code=73)
+    for part in ("prepare", "train", "finish"):
+        shell.step("ball", part)
+    record = shell.json("batch", "status", "B")
+    holds("batch-status", record)
+    assert record["counts"] == {
+        "done": 1,
+        "running": 0,
+        "waiting": 1,
+        "to retry": 1,
+        "failed": 1,
+    }
 
 
 def test_recipes_are_one_object(capsys: pytest.CaptureFixture[str]) -> None:

@@ -103,6 +103,15 @@ def test_a_raised_version_and_a_new_program_remake_a_stage(
     assert scene.reasons()["read"].endswith(" -> 99")
 
 
+def test_the_record_names_the_device_of_a_stage_whose_result_depends_on_it(scene: Scene) -> None:
+    stages = [replace(stage, by_device=stage.name == "read") for stage in STAGES]
+    scene.pipeline = Pipeline(Letters, stages, scene.pipeline.store)
+    scene.run(device=lambda: "cuda")
+    measures = {name: scene.pipeline.store.current(name) for name in ("read", "export")}
+    named = {n: ("device", "cuda", "") in found.measures for n, found in measures.items() if found}
+    assert named == {"read": True, "export": False}
+
+
 def test_until_makes_a_stage_and_what_it_needs(scene: Scene) -> None:
     assert made(scene.run(until="shout")) == ["read", "shout"]
 

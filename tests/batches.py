@@ -1,0 +1,64 @@
+"""Batches of small captures, whose stages take milliseconds, over the real command line."""
+
+import json
+import shlex
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import pytest
+from shells import FAKE_CLI, Shell
+
+needs_snakemake = pytest.mark.skipif(
+    find_spec("snakemake") is None,
+    reason="Snakemake is not installed: install the extra batch",
+)
+
+
+class BatchShell(Shell):
+    """Makes captures, a batch of them, and looks at what came out."""
+
+    def __init__(self, root: Path) -> None:
+        super().__init__(root)
+        self.batch = root / "B"
+
+    def captures(self, **texts: str) -> list[str]:
+        """A folder for each name, with one letter of that text."""
+        for name, text in texts.items():
+            (self.root / name).mkdir(exist_ok=True)
+            (self.root / name / "a.txt").write_text(text)
+        return list(texts)
+
+    def init(self, *arguments: str, **texts: str) -> None:
+        """A batch of these captures, whose jobs use the small stages."""
+        self("batch", "init", *self.captures(**texts), *arguments, "--out", "B")
+        path = self.batch / "Snakefile"
+        lines = path.read_text().splitlines()
+        at = next(i for i, line in enumerate(lines) if line.startswith("COMMAND ="))
+        lines[at] = f"COMMAND = {shlex.join([sys.executable, str(FAKE_CLI)])!r}"
+        at = next(i for i, line in enumerate(lines) if line.startswith("THREADS ="))
+        lines[at] = 'THREADS = {"prepare": 1, "train": 1, "finish": 1}'
+        path.write_text("\n".join(lines) + "\n")
+
+    def step(self, name: str, part: str, code: int = 0, **environment: str) -> str:
+        """One job; what it says."""
+        return self("batch", "step", "B", name, part, code=code, **environment).stderr
+
+    def result(self, name: str, part: str = "finish") -> Any:
+        """What a job left."""
+        return json.loads((self.batch / "steps" / name / f"{part}.json").read_text())
+
+    def states(self) -> dict[str, str]:
+        """capture -> how it stands."""
+        found = self.json("batch", "status", "B")["captures"]
+        return {one["capture"]: one["state"] for one in found}
+
+    def made(self) -> dict[Path, int]:
+        """When each stage's result was written."""
+        found = self.batch.glob("workspaces/*/*/*/manifest.json")
+        return {path: path.stat().st_mtime_ns for path in found}
+
+    def workspace(self, name: str) -> Path:
+        """A capture's workspace."""
+        return self.batch / "workspaces" / f"{name}.refdgs"
