@@ -20,6 +20,12 @@ def lighting(views: Views, model: SparseModel, params: LightingParams, job: Job)
     evidence = gather(views, model, ground, partial(job.progress, "looking at the light"))
     found = decide(evidence, model, params.kind)
     job.measure("light", found.kind)
+    if found.kind != "world":
+        how = "a flash on the camera" if found.kind == "flash" else "a turntable in a still room"
+        job.warn(
+            f"the light moves as with {how}: {found.reason}. It is trained so; if that is wrong, "
+            "set lighting.kind=world"
+        )
     job.measure("because", found.reason)
     rings = evidence.rings
     job.measure("photos in rings", round(0.0 if rings is None else rings.share, 3), "share")
