@@ -177,11 +177,12 @@ def draw(
     diffuse, roughness, reflected, cosine, near = shading_inputs(
         maps.features, object_alpha, maps.normal, near, pixels, camera
     )
-    lit = diffuse if scene.light is None else diffuse * scene.light.shade(maps, pixels, camera)
+    lit = diffuse if scene.light is None else diffuse * _shade(scene.light, maps, pixels, camera)
     if scene.shader is None:
         radiance = diffuse.new_zeros(len(pixels), 3)
     else:
-        radiance = _mirrored(scene, camera, reflected, roughness, cosine, near, limit, lamp)
+        far, there = _moved(scene.light, camera, reflected, pixels, lamp)
+        radiance = specular(scene.shader, far, roughness, cosine, near, limit, from_camera=there)
         if turn_share > 0 and reflected.requires_grad:
             trust = _share(radiance.detach(), lit.detach()).div(turn_share).clamp(max=1.0)
             reflected.register_hook(lambda grad: grad * trust)  # type: ignore[no-untyped-call]
@@ -190,24 +191,24 @@ def draw(
     return Picture(image, maps, object_alpha, pixels, carried, radiance, local_statistics)
 
 
-def _mirrored(
-    scene: Scene,
-    camera: Pinhole,
-    reflected: Tensor,
-    roughness: Tensor,
-    cosine: Tensor,
-    near: Tensor | None,
-    limit: Tensor | None,
-    lamp: bool,
-) -> Tensor:
-    """(P, 3) specular radiance, looked up in the frame where the light stands still."""
-    assert scene.shader is not None
-    there = None
-    if scene.light is not None:
-        turn = scene.light.light_from_world(camera)
-        there = in_camera(reflected, camera) if lamp else None
-        reflected = reflected if turn is None else reflected @ turn.T
-    return specular(scene.shader, reflected, roughness, cosine, near, limit, from_camera=there)
+def _moved(
+    light: MovingLight | None, camera: Pinhole, reflected: Tensor, pixels: Tensor, lamp: bool
+) -> tuple[Tensor, Tensor | None]:
+    """(P, 3) mirrored directions where far light stands still, and in the camera's frame."""
+    if light is None:
+        return reflected, None
+    there = in_camera(reflected, camera) if lamp else None
+    turn = light.light_from_world(camera)
+    if turn is None:
+        return reflected, there
+    # what is in rows of no pixel has no meaning, and may not reach the turn's gradient
+    real, any_way = (pixels >= 0)[:, None], torch.full_like(reflected, 3**-0.5)
+    return torch.where(real, torch.where(real, reflected, any_way) @ turn.T, any_way), there
+
+
+def _shade(light: MovingLight, maps: Maps, pixels: Tensor, camera: Pinhole) -> Tensor:
+    """(P, 3) factor of the diffuse radiance; 1 in rows of no pixel."""
+    return torch.where((pixels >= 0)[:, None], light.shade(maps, pixels, camera), 1.0)
 
 
 def _share(radiance: Tensor, diffuse: Tensor) -> Tensor:

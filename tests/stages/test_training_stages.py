@@ -11,20 +11,14 @@ import finished
 import numpy as np
 import pytest
 import torch
+from lights import LIGHTS
 from stage_runs import NO_MASKS
 from training.test_trainer import SMALL, capture, quiet
 from training_runs import Settings, trainer_of
 
 from refdgs_pipe import recipe
 from refdgs_pipe.artifacts.checkpoint import Checkpoint
-from refdgs_pipe.artifacts.lighting import (
-    BANDS,
-    WORLD,
-    Flash,
-    Lighting,
-    Ring,
-    Turntable,
-)
+from refdgs_pipe.artifacts.lighting import WORLD
 from refdgs_pipe.artifacts.shape import Shape
 from refdgs_pipe.artifacts.start import Start
 from refdgs_pipe.artifacts.surfel_field import SurfelField
@@ -126,21 +120,6 @@ def stage_params(name: str) -> Any:
 
 
 FEW = SMALL.but(iterations=24, surfels=300, local_surfels=80, densify_every=6, look_steps=12)
-
-
-LIGHTS = {
-    "world": WORLD,
-    "turntable": Lighting(
-        "turntable",
-        turntable=Turntable(
-            np.zeros(3),
-            np.array([0.0, 0, 1]),
-            (Ring(1.0, 3.0), Ring(2.0, 2.0)),
-            np.zeros((BANDS, 3)),
-        ),
-    ),
-    "flash": Lighting("flash", flash=Flash(np.array([0.0, -0.2, 0]), 3.0, 0.2)),
-}
 
 
 def assert_equal(one: SurfelField, other: SurfelField) -> None:
