@@ -13,6 +13,7 @@ from scenes import orbit
 from refdgs_pipe.artifacts.appearance import Appearance
 from refdgs_pipe.artifacts.asset import Asset
 from refdgs_pipe.artifacts.checkpoint import Checkpoint
+from refdgs_pipe.artifacts.lighting import Lighting
 from refdgs_pipe.artifacts.masks import Masks
 from refdgs_pipe.artifacts.mesh import Mesh, RawMesh
 from refdgs_pipe.artifacts.object_figures import ObjectFigures
@@ -215,6 +216,7 @@ def steps(
         "ingest": views,
         "sfm": lambda folder: placement or Placement(None, known=True),
         "gate": lambda folder: model(),
+        "lighting": lambda folder: Lighting("world", "the ground does not darken"),
         "masks": lambda folder: Masks(folder, (), "none", "no plane"),
         "start": lambda folder: start(),
         "train": lambda folder: checkpoint(),

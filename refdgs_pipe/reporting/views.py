@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from refdgs_pipe.artifacts.appearance import Appearance
 from refdgs_pipe.artifacts.asset import Asset
+from refdgs_pipe.artifacts.lighting import Lighting
 from refdgs_pipe.artifacts.masks import Masks
 from refdgs_pipe.artifacts.photos import Photo, load_photo
 from refdgs_pipe.artifacts.scores import Scores
@@ -177,7 +178,23 @@ def surroundings(facts: Facts, _: Drawing) -> Html:
         "guesses."
     )
     picture = image(pixels, "lat-long picture of the surroundings", size, class_="wide")
-    return joined(tag("p", words), picture)
+    return joined(tag("p", words), _movement(facts), picture)
+
+
+def _movement(facts: Facts) -> Html:
+    """How the light moved from photo to photo, and what to do if that is wrong."""
+    with suppress(RefdgsError):  # an older version did not look for it
+        found = facts.load(Lighting)
+        words = {
+            "world": "The light stood still with the object",
+            "turntable": "The object turned while camera and room stood still; the picture shows "
+            "the room as it lay for the first ring of photos",
+            "flash": "A flash on the camera lit the object; the picture shows the room without it",
+        }[found.kind]
+        because = f" ({found.reason})" if found.reason else ""
+        other = " If that is wrong, set lighting.kind and run again."
+        return tag("p", f"{words}{because}.{other}")
+    return joined()
 
 
 def _over_white(photo: Photo) -> F32:

@@ -123,6 +123,11 @@ def test_a_finished_workspace_fills_every_section(text: str) -> None:
     assert body_of(text, "files").count('<b class="ok">ok</b>') > 8
 
 
+def test_the_page_says_how_the_light_moved(text: str) -> None:
+    assert "The light stood still with the object (the ground does not darken)." in text
+    assert "set lighting.kind" in text
+
+
 def test_lost_and_blurred_photos_come_first_with_their_reason(text: str) -> None:
     cards = re.findall(r'<figure class="photo([^"]*)".*?</figure>', body_of(text, "photos"))
     assert sorted(cards[:2]) == [" blurred", " lost"]
