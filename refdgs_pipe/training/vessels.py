@@ -9,11 +9,16 @@ see, where they show the lid. The vessel has to explain them clearly better.
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, distance_transform_edt, gaussian_filter, label
+from scipy.ndimage import (
+    binary_closing,
+    binary_dilation,
+    distance_transform_edt,
+    gaussian_filter,
+    label,
+)
 
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.camera import F64, Camera
@@ -214,7 +219,7 @@ def _shown(camera: Camera, points: F64) -> Bools:
     """(H, W) where a camera shows points (N, 3), without gaps between them."""
     uv, depth = camera.project(points)
     use = (depth > 0) & (uv >= 0).all(1) & (uv < (camera.width, camera.height)).all(1)
-    out = np.zeros((camera.height, camera.width), np.uint8)
+    out = np.zeros((camera.height, camera.width), np.bool_)
     column, row = uv[use].astype(np.int64).T
-    out[row, column] = 1
-    return np.asarray(cv2.morphologyEx(out, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8)) > 0)
+    out[row, column] = True
+    return np.asarray(binary_closing(out, np.ones((5, 5), np.bool_)), np.bool_)
