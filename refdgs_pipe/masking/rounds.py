@@ -26,6 +26,7 @@ from refdgs_pipe.masking.colours import colour_evidence
 from refdgs_pipe.masking.cut import cut, without_false_holes
 from refdgs_pipe.masking.levels import LAST, LEVELS, Level
 from refdgs_pipe.masking.odds import calibrated
+from refdgs_pipe.masking.repeating import repeats
 from refdgs_pipe.masking.solid import (
     agreed,
     covering,
@@ -127,6 +128,8 @@ def _walls(views: Views, model: SparseModel, plane: tuple[F64, float], threads: 
     shots = list(whole_shots(views, model, level.side))
     table = Table(Ground.under(ball, *plane, WIDE * ball.radius), level.cells, len(shots), threads)
     table.found(shots)
+    if repeats(table.colour.mean(-1), table.share):  # it is its own mirror image
+        return []
     centers = np.stack([shot.camera.center for shot in shots])
     return mirror_walls(table, table.seen(shots, None), centers, ball.radius)
 
