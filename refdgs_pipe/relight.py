@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from refdgs_pipe.artifacts.appearance import Appearance
-from refdgs_pipe.artifacts.lighting import WORLD, Lighting, angle_of
+from refdgs_pipe.artifacts.lighting import WORLD, Lighting, angle_of, turned
 from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.color import linear_from_srgb, srgb_from_linear
@@ -122,7 +122,8 @@ class Relit:
         angle = np.degrees(angle_of(turn, self.lighting.turntable.axis))
         step = round(float(angle) / _ROOM_STEP)
         if step not in self._rooms:
-            self._rooms[step] = self._gathered(Turned(self.light, turn))
+            near = turned(self.lighting.turntable.axis, np.radians(step * _ROOM_STEP))
+            self._rooms[step] = self._gathered(Turned(self.light, near))
         other.light = Turned(self.light, turn)
         other._received, other._sent = self._rooms[step]
         return other

@@ -53,10 +53,7 @@ class Turntable:
     @property
     def sides(self) -> tuple[F64, F64]:
         """Two unit directions (3,) that are orthogonal to the axis and each other."""
-        helper = np.eye(3)[int(np.abs(self.axis).argmin())]
-        first = np.cross(helper, self.axis)
-        first /= np.linalg.norm(first)
-        return first, np.cross(self.axis, first)
+        return sides_of(self.axis)
 
     def room_from_world(self, center: F64) -> F64:
         """(3, 3) rotation of directions into the room's frame for a camera at `center` (3,).
@@ -195,8 +192,20 @@ WORLD = Lighting("world")
 
 def angle_of(turn: F64, axis: F64) -> float:
     """The angle, in radians, of a rotation (3, 3) about a unit axis (3,)."""
-    sine = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
-    return float(np.arctan2(sine @ axis / 2, (np.trace(turn) - 1) / 2))
+    return float(np.arctan2(sine_of(turn) @ axis, (np.trace(turn) - 1) / 2))
+
+
+def sine_of(turn: F64) -> F64:
+    """(3,) the axis of a rotation (3, 3), as long as the sine of its angle."""
+    differences = [turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]
+    return np.asarray(differences) / 2
+
+
+def sides_of(axis: F64) -> tuple[F64, F64]:
+    """Two unit directions (3,) that are orthogonal to a unit axis (3,) and each other."""
+    first = np.cross(np.eye(3)[int(np.abs(axis).argmin())], axis)
+    first /= np.linalg.norm(first)
+    return first, np.cross(axis, first)
 
 
 def turned(axis: F64, angle: float) -> F64:

@@ -64,7 +64,8 @@ def gather(
         plane: normal (3,) and offset of the ground, world; None without one.
         progress: told the photos done and their number; may raise.
     """
-    told = [v.exif.flash for v in views.items if v.name in set(model.names)]
+    placed = set(model.names)
+    told = [view.exif.flash for view in views.items if view.name in placed]
     known = [fired for fired in told if fired is not None]
     fired = float(np.mean(known)) if known else None
     rings = find_rings(model.cameras, model.ball.center, model.up)

@@ -11,14 +11,15 @@ from refdgs_pipe.color import linear_from_srgb
 
 F32 = NDArray[np.float32]
 STILL = 0.012  # sRGB: a pixel of a still background differs less from the median photo
-TEXTURE = 0.03  # sRGB: the median photo's slope where a moving background would show
+TEXTURE = 0.03  # sRGB from pixel to pixel: a steeper background would show that it moves
 AROUND = 1.05  # ball radii: what is farther from the ball's centre is background
 _DARK, _BRIGHT = 0.02, 0.9  # linear radiance that is neither noise nor clipped
 _FEWEST = 300  # observations of the ground
-_MOST = 12_000
-_PASSES, _ROUNDS = 12, 3
+_MOST = 12_000  # that are used
+_PASSES, _ROUNDS = 12, 3  # of centring; of weighing outliers less
 _REACH = (0.03, 0.08, 0.13, 0.18, 0.25)  # of the distance: how far the lamp is from the lens
 _SIDES = ((0, -1), (1, 0), (-1, 0), (0, 1))  # right and down
+# the room's shares of the light that are tried
 _ROOMS = (0.0, 0.03, 0.08, 0.15, 0.25, 0.4, 0.6)
 Ints = NDArray[np.int64]
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from refdgs_pipe.artifacts.lighting import BANDS, Ring, Turntable, turned
+from refdgs_pipe.artifacts.lighting import BANDS, Ring, Turntable, sides_of, sine_of, turned
 from refdgs_pipe.camera import F64, Camera
 
 ANGLE = np.radians(1.5)  # the way that cameras of one ring look at the axis differs by less
@@ -51,20 +51,16 @@ def find_rings(cameras: tuple[Camera, ...], center: F64, up: F64) -> Rings | Non
             return None
         axis = _axis(rotations, members, axis)
         point = _point(places, members, axis, center)
-    table = Turntable(point, axis, (), np.zeros((BANDS, 3)))
-    first, second = table.sides
+    first, second = sides_of(axis)
     rings = []
     for ring in members:
         apart = places[ring] - point
         height = float(np.mean(apart @ axis))
         radius = float(np.mean(np.hypot(apart @ first, apart @ second)))
         rings.append(Ring(height, radius))
-        ring.sort(
-            key=lambda i: float(
-                np.arctan2((places[i] - point) @ second, (places[i] - point) @ first)
-            )
-        )
-    found = Turntable(point, axis, tuple(rings), table.shade)
+        order = np.argsort(np.arctan2(apart @ second, apart @ first))
+        ring[:] = [ring[i] for i in order]
+    found = Turntable(point, axis, tuple(rings), np.zeros((BANDS, 3)))
     share = sum(len(ring) for ring in members) / len(cameras)
     return Rings(found, tuple(tuple(ring) for ring in members), share)
 
@@ -77,8 +73,7 @@ def _grouped(
     Args:
         places: (N, 3) from a point on the axis.
     """
-    table = Turntable(np.zeros(3), axis, (), np.zeros((BANDS, 3)))
-    first, second = table.sides
+    first, second = sides_of(axis)
     x, y, height = places @ first, places @ second, places @ axis
     radius = np.hypot(x, y)
     # what the camera's rotation is once its azimuth is taken away
@@ -107,11 +102,7 @@ def _axis(rotations: F64, members: list[list[int]], axis: F64) -> F64:
     for ring in members:
         for step in range(1, len(ring) // 2 + 1):
             for i, j in zip(ring, ring[step:], strict=False):
-                turn = rotations[i].T @ rotations[j]
-                # sin(angle) * axis: short where the axis is badly known
-                part = np.array(
-                    [turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]
-                )
+                part = sine_of(rotations[i].T @ rotations[j])  # short where it is badly known
                 total += part * np.sign(part @ axis)
     length = float(np.linalg.norm(total))
     return axis if length < 1e-9 else total / length
@@ -119,7 +110,7 @@ def _axis(rotations: F64, members: list[list[int]], axis: F64) -> F64:
 
 def _point(places: F64, members: list[list[int]], axis: F64, center: F64) -> F64:
     """(3,) where the axis is: the centre of all rings' circles, by least squares."""
-    first, second = Turntable(center, axis, (), np.zeros((BANDS, 3))).sides
+    first, second = sides_of(axis)
     rows, wanted = [], []
     for number, ring in enumerate(members):
         apart = places[ring] - center

@@ -85,11 +85,13 @@ def _solid(
     """The object within its masks, as a vessel if that explains photos better than its lid."""
     if params.masked == "ball" or any(photo.mask is None for photo in photos):
         return None, None
-    hull = object_hull(params, model, photos, progress)
+    closed = closed_hull(model, photos)
+    if closed is None:
+        return None, None
+    hull = object_hull(params, model, photos, progress, closed=closed)
     if hull is None or params.masked != "carved" or not params.vessels:
         return hull, None
-    closed = closed_hull(model, photos)
-    mouth = None if closed is None else find_mouth(closed, model.up)
+    mouth = find_mouth(closed, model.up)
     mouth = None if mouth is None else mouth.within(hull)
     if mouth is None:
         return hull, None

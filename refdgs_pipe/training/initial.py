@@ -142,13 +142,16 @@ def object_hull(
     model: SparseModel,
     photos: list[TrainingPhoto],
     progress: Callable[[int, int], None] | None = None,
+    *,
+    closed: Hull | None = None,
 ) -> Hull | None:
     """The solid within the photos' masks, or None if those have nothing in common.
 
     Args:
+        closed: of `closed_hull`, if it is known.
         progress: told the steps done and their number; may raise.
     """
-    hull = closed_hull(model, photos)
+    hull = closed or closed_hull(model, photos)
     if hull is None or p.masked != "carved":
         return hull
     return carved(

@@ -19,8 +19,8 @@ from refdgs_pipe.training.field import TrainableField
 from refdgs_pipe.training.photos import TrainingPhoto, shrunk
 from refdgs_pipe.training.settings import StartParams, TrainParams
 from refdgs_pipe.training.shading import draw
+from refdgs_pipe.training.short_run import short_run
 from refdgs_pipe.training.starting import Given, start_of
-from refdgs_pipe.training.step import take_step
 
 Progress = Callable[[int, int], None]
 """Told the steps done and their number; may raise."""
@@ -162,16 +162,7 @@ def _looked(
     gentle = TrainParams.model_validate(own)
     field = TrainableField(gentle, model, start, photos, masked=False, near=near, device=device)
     photos = [photo.to(device) for photo in photos]
-    rng = torch.Generator().manual_seed(params.seed)
-    backdrop = torch.zeros(3, device=device)
-    for step in range(steps):
-        if progress is not None and step % 10 == 0:
-            progress(step, steps)
-        field.set_rates(step / steps)
-        photo = photos[int(torch.randint(len(photos), (1,), generator=rng))]
-        take_step(field, photo, backdrop, step / steps)
-        if field.adapts(step + 1):
-            field.adapt(step + 1, rng)
+    short_run(field, photos, steps, params.seed, masked=False, progress=progress)
     return field, field.random
 
 

@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from refdgs_pipe.ops import mlp, sph_mip
 
-FLASH_ROWS = 64
+FLASH_ROWS = 64  # of the map in the camera's frame
 RADIANCE_EXPONENT = 5.0  # specular radiance is at most e^5
 
 
@@ -36,8 +36,8 @@ class Shader(nn.Module):
         inputs = 4 + (4 if mixing == "adaptive" and local != "none" else 0) + (2 if physical else 0)
         inputs += 4 if flash else 0
         self.environment = nn.Parameter(torch.zeros(height, 2 * height, 4))
-        if flash:
-            self.flash = nn.Parameter(torch.zeros(FLASH_ROWS, 2 * FLASH_ROWS, 4))
+        rows = torch.zeros(FLASH_ROWS, 2 * FLASH_ROWS, 4) if flash else None
+        self.flash = None if rows is None else nn.Parameter(rows)
         layers = [nn.Linear(a, b) for a, b in pairwise([inputs, 64, 64, 64, 3])]
         nn.init.constant_(layers[-1].bias, math.log(0.25))
         self.weights = nn.ParameterList(layer.weight for layer in layers)
@@ -45,7 +45,7 @@ class Shader(nn.Module):
 
     def maps(self) -> list[nn.Parameter]:
         """The far field's, and the flash's if there is one."""
-        return [self.environment, *([self.flash] if hasattr(self, "flash") else [])]
+        return [self.environment] if self.flash is None else [self.environment, self.flash]
 
 
 def specular(
@@ -69,12 +69,13 @@ def specular(
             is mirrored there holds no lamp, as in directions that lead away from the camera.
     """
     far = sph_mip(shader.environment, reflected, roughness, limit=limit)
-    if (lamp := getattr(shader, "flash", None)) is not None:
-        far = torch.cat([far, _flash_features(lamp, far, from_camera, roughness, limit)], -1)
     parts = [far]
     if shader.local != "none":
-        near = torch.zeros_like(far[:, :4]) if near is None else near
+        near = torch.zeros_like(far) if near is None else near
         parts = [far + near] if shader.mixing == "sum" else [far, near]
+    if shader.flash is not None:
+        lamp = _flash_features(shader.flash, far, from_camera, roughness, limit)
+        parts[0] = torch.cat([parts[0], lamp], -1)  # the network takes four tables at most
     if shader.physical:
         parts += [roughness, cosine]
     weights, biases = list(shader.weights), list(shader.biases)

@@ -28,8 +28,8 @@ from refdgs_pipe.training.initial import F32, Hull
 from refdgs_pipe.training.photos import TrainingPhoto, shrunk
 from refdgs_pipe.training.settings import StartParams, TrainParams
 from refdgs_pipe.training.shading import draw
+from refdgs_pipe.training.short_run import short_run
 from refdgs_pipe.training.starting import Given, start_of
-from refdgs_pipe.training.step import take_step
 
 Bools = NDArray[np.bool_]
 
@@ -63,7 +63,7 @@ class Mouth:
 
     Args:
         lid: (N, 3) centres of the lid's cells, world.
-        hollow: (n, n, n) its cells.
+        hollow: (n, n, n) the cells of the hollow.
         vessel: the hull without the hollow.
     """
 
@@ -153,6 +153,8 @@ def tried(
 ) -> Trial | None:
     """Explain photos by the closed hull and by the vessel; None where too few photos look in.
 
+    It runs on the CPU, so that the answer is the same with and without a GPU.
+
     Args:
         near: depth before which nothing is drawn, world units.
         progress: told the steps done and their number; may raise.
@@ -170,9 +172,9 @@ def tried(
     figures = []
     for number, hull in enumerate((closed, mouth.vessel)):
 
-        def told(step: int, before: int = number) -> None:
+        def told(step: int, steps: int, before: int = number) -> None:
             if progress is not None:
-                progress(before * STEPS + step, 2 * STEPS)
+                progress(before * steps + step, 2 * steps)
 
         figures.append(_explained(params, model, learnt, asked, hull, mouth.lid, near, told))
     return Trial(*figures)
@@ -186,7 +188,7 @@ def _explained(
     hull: Hull,
     lid: F64,
     near: float,
-    told: Callable[[int], None],
+    told: Callable[[int, int], None],
 ) -> float:
     """PSNR in dB of photos that a short training has not seen, on the lid."""
     few = params.model_copy(update={"surfels": SURFELS, "local_surfels": 2000})
@@ -194,15 +196,7 @@ def _explained(
     field = TrainableField(
         TrainParams.model_validate(_SHORT), model, start, learnt, masked=True, near=near
     )
-    rng = torch.Generator().manual_seed(params.seed)
-    for step in range(STEPS):
-        if step % 10 == 0:
-            told(step)
-        field.set_rates(step / STEPS)
-        photo = learnt[int(torch.randint(len(learnt), (1,), generator=rng))]
-        take_step(field, photo, torch.rand(3, generator=rng), step / STEPS)
-        if field.adapts(step + 1):
-            field.adapt(step + 1, rng)
+    short_run(field, learnt, STEPS, params.seed, masked=True, progress=told)
     missed, count = 0.0, 0
     for photo in asked:
         with torch.no_grad():

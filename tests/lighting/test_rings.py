@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 
 from refdgs_pipe.artifacts.lighting import angle_of, turned
 from refdgs_pipe.camera import Camera
+from refdgs_pipe.cli.render import look_at
 from refdgs_pipe.lighting.rings import find_rings
 
 F64 = NDArray[np.float64]
@@ -14,14 +15,8 @@ UP = np.array([0.0, 0.0, 1.0])
 
 def looking(center: F64, target: F64, name: str) -> Camera:
     """A camera at `center` that looks at `target`, upright."""
-    forward = (target - center) / np.linalg.norm(target - center)
-    right = np.cross(forward, UP)
-    right /= np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward])
-    pose[:3, 3] = -pose[:3, :3] @ center
     K = np.array([[100.0, 0, 32], [0, 100, 24], [0, 0, 1]])
-    return Camera(name, 64, 48, K, pose, "train")
+    return Camera(name, 64, 48, K, look_at(center, target, UP), "train")
 
 
 def on_table(rings: list[tuple[float, float, float]], each: int, axis: F64) -> tuple[Camera, ...]:

@@ -10,6 +10,7 @@ from torch import Tensor
 from refdgs_pipe.artifacts.lighting import BANDS, Flash, Lighting, Ring, Turntable, turned
 from refdgs_pipe.ops import Maps, Pinhole, ScreenStatistics
 from refdgs_pipe.training.moving_light import MovingLight, in_camera, moving
+from refdgs_pipe.training.reflection import Shader, specular
 
 SIDE = 8
 AXIS = np.array([0.0, 0.6, 0.8])
@@ -147,3 +148,21 @@ def _numbers(record: object) -> list[np.ndarray]:
     if isinstance(record, dict):
         return [n for value in record.values() for n in _numbers(value)]
     return [] if isinstance(record, str) else [np.asarray(record, float)]
+
+
+@pytest.mark.parametrize("mixing", ["adaptive", "sum"])
+@pytest.mark.parametrize("local", ["dual", "none"])
+def test_a_flash_is_mirrored_with_every_way_of_mixing(mixing: str, local: str) -> None:
+    shader = Shader(16, local, mixing, physical=True, flash=True)
+    with torch.no_grad():
+        assert shader.flash is not None
+        shader.flash[:] = 3.0
+    directions = torch.nn.functional.normalize(torch.randn(5, 3), dim=-1)
+    same, near = torch.full((5,), 0.3), torch.ones(5, 4)
+    shown = specular(shader, directions, same, same, near, from_camera=directions)
+    assert shown.shape == (5, 3)
+    with torch.no_grad():
+        shader.flash[:] = -3.0
+    assert not torch.allclose(
+        shown, specular(shader, directions, same, same, near, from_camera=directions)
+    )
