@@ -24,9 +24,9 @@ from refdgs_pipe.ground.shots import (
 from refdgs_pipe.masking.beyond import shown_room
 from refdgs_pipe.masking.colours import colour_evidence
 from refdgs_pipe.masking.cut import cut, without_false_holes
+from refdgs_pipe.masking.foot import WIDE, Foot, foot
 from refdgs_pipe.masking.levels import LAST, LEVELS, Level
 from refdgs_pipe.masking.odds import calibrated
-from refdgs_pipe.masking.repeating import repeats
 from refdgs_pipe.masking.solid import (
     agreed,
     covering,
@@ -43,11 +43,9 @@ from refdgs_pipe.masking.table import (
     shown_plane,
     smooth,
 )
-from refdgs_pipe.masking.walls import Wall, footprint, mirror_walls
 
 TELLING = 0.6  # evidence below which the room cannot tell whether a cell is empty
 SURE = 4.0  # evidence against what cannot be the object
-WIDE = 2.2  # radii of the ball that the plane's picture reaches at first
 NARROW = 1.9  # reaches of the solid, later, at least
 BEHIND = 1.0  # of a point's height above the plane: how far behind it photos show the plane
 BAND = 0.02  # of a photo's longer side: how far an outline may be off
@@ -102,10 +100,10 @@ def object_masks(
         lamp: (3,) of a flash, in the camera's frame, whose shadow moves with it.
     """
     found: Found | None = None
-    walls = _walls(views, model, plane, threads)
+    stands = foot(views, model, plane, threads)
     total, done = sum(len(level.denials) for level in LEVELS) + 1, 0
     for level in LEVELS:
-        worker = _Worker(views, model, plane, level, found, threads, walls, lamp)
+        worker = _Worker(views, model, plane, level, found, threads, stands, lamp)
         for deny in level.denials:
             progress(done, total)
             found = worker.round(found, deny)
@@ -118,20 +116,8 @@ def object_masks(
     return (
         None
         if found is None
-        else _Worker(views, model, plane, LAST, found, threads, walls, lamp).final(found)
+        else _Worker(views, model, plane, LAST, found, threads, stands, lamp).final(found)
     )
-
-
-def _walls(views: Views, model: SparseModel, plane: tuple[F64, float], threads: int) -> list[Wall]:
-    """The flat mirrors that stand on the plane."""
-    level, ball = LEVELS[-1], model.ball
-    shots = list(whole_shots(views, model, level.side))
-    table = Table(Ground.under(ball, *plane, WIDE * ball.radius), level.cells, len(shots), threads)
-    table.found(shots)
-    if repeats(table.colour.mean(-1), table.share):  # it is its own mirror image
-        return []
-    centers = np.stack([shot.camera.center for shot in shots])
-    return mirror_walls(table, table.seen(shots, None), centers, ball.radius)
 
 
 def agreement(found: Found) -> tuple[float, float]:
@@ -158,7 +144,7 @@ class _Worker:
         level: Level,
         found: Found | None,
         threads: int,
-        walls: list[Wall],
+        stands: Foot,
         lamp: F64 | None,
     ) -> None:
         self.normal, self.offset = self.plane = plane
@@ -175,7 +161,7 @@ class _Worker:
         self.band = [max(2, round(BAND * max(shot.whole))) for shot in self.shots]
         reach = WIDE * model.ball.radius if found is None else found.reach
         ground = Ground.under(self.ball, *plane, reach)
-        covered = footprint(walls, ground, level.cells)
+        covered = stands.on(ground, level.cells)
         self.table = Table(ground, level.cells, len(self.shots), threads, covered)
         within = found.ball if found is not None and level is LAST else self.ball
         self.cells = grid(within, *plane, level.solid)

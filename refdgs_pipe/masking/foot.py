@@ -1,0 +1,71 @@
+"""Where on the plane the object stands for sure, before its masks are known."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from refdgs_pipe.artifacts.sparse_model import SparseModel
+from refdgs_pipe.artifacts.views import Views
+from refdgs_pipe.camera import F64
+from refdgs_pipe.ground.plane import Ground
+from refdgs_pipe.ground.shots import F32, Bools, whole_shots
+from refdgs_pipe.masking.levels import LEVELS
+from refdgs_pipe.masking.repeating import covered, lattice
+from refdgs_pipe.masking.table import TOLERANCES, Table
+from refdgs_pipe.masking.walls import Wall, footprint, mirror_walls
+
+WIDE = 2.2  # radii of the ball that the plane's picture reaches at first
+
+
+@dataclass(frozen=True, eq=False)
+class Foot:
+    """Where the object stands.
+
+    Args:
+        walls: the flat mirrors that stand on the plane.
+        covered: (n, n) of a picture of the plane, where its pattern does not go on; None where
+            it does not repeat.
+        radius: how far that picture reaches, world units.
+    """
+
+    walls: list[Wall]
+    covered: Bools | None = None
+    radius: float = 0.0
+
+    def on(self, ground: Ground, n: int) -> Bools:
+        """(n, n) the covered cells of another picture of the plane, with the same middle."""
+        if self.covered is None:
+            return footprint(self.walls, ground, n)
+        place = ((np.arange(n) + 0.5) / n * 2 - 1) * ground.radius / self.radius
+        at = ((place + 1) / 2 * len(self.covered) - 0.5).astype(np.float32)
+        x, y = np.meshgrid(at, at)
+        return np.asarray(
+            cv2.remap(self.covered.astype(np.float32), x, y, cv2.INTER_LINEAR, borderValue=0) > 0.5
+        )
+
+
+def foot(views: Views, model: SparseModel, plane: tuple[F64, float], threads: int) -> Foot:
+    """Where the object stands, as far as the plane's picture alone can tell.
+
+    A ground that repeats tells it by its pattern. On another one, flat mirrors tell it.
+
+    Args:
+        plane: unit normal and offset, world.
+    """
+    level, ball = LEVELS[-1], model.ball
+    shots = list(whole_shots(views, model, level.side))
+    ground = Ground.under(ball, *plane, WIDE * ball.radius)
+    table = Table(ground, level.cells, len(shots), threads).found(shots)
+    seen = table.seen(shots, None)
+    pattern = lattice(table.colour.mean(-1), table.share)
+    if pattern is None:
+        centers = np.stack([shot.camera.center for shot in shots])
+        return Foot(mirror_walls(table, seen, centers, ball.radius))
+    return Foot([], covered(table.colour, _agreeing(table, seen), pattern), ground.radius)
+
+
+def _agreeing(table: Table, seen: F32) -> F32:
+    """(n, n) share of all photos that show the plane's colour; those that show none count too."""
+    near = np.abs(seen - table.colour).max(-1) < TOLERANCES[-1]
+    return np.asarray(near.mean(0), np.float32)
