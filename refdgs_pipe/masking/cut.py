@@ -4,13 +4,14 @@ import cv2
 import numpy as np
 from scipy.ndimage import binary_dilation, find_objects, label
 
-from refdgs_pipe.ground.shots import F32
+from refdgs_pipe.ground.shots import F32, Bools
 
 STEPS = 100
 STEP = 0.35  # of the primal-dual method; below 1 / sqrt(8)
 FLOOR = 0.1  # least price of an outline, where the photo has an edge
 EDGE = 0.5  # of the median change of colour along the outline: an edge
 RIMMED = 0.6  # share of a hole's rim that has to be an edge
+SHARED = 0.5  # share of a hole that the solid's silhouette covers, if the hole may be false
 
 
 def cut(evidence: F32, rgb: F32, *, weight: float) -> F32:
@@ -48,14 +49,15 @@ def cut(evidence: F32, rgb: F32, *, weight: float) -> F32:
     return inside
 
 
-def without_false_holes(mask: F32, rgb: F32) -> F32:
+def without_false_holes(mask: F32, rgb: F32, outline: Bools | None = None) -> F32:
     """The mask with the holes filled that no edge of the photo goes round.
 
     Where an object looks like what is behind it, some of its inside can be taken for that. A true
-    hole has an edge of the object all round.
+    hole has an edge of the object all round, or the solid that other photos agree on has it too.
 
     Args:
         mask: (H, W) in [0, 1]; rgb: (H, W, 3) sRGB in [0, 1].
+        outline: (H, W) the silhouette of that solid; None where it is not known.
     """
     solid = mask > 0.5
     holes, count = label(~solid)
@@ -78,6 +80,8 @@ def without_false_holes(mask: F32, rgb: F32) -> F32:
             continue
         part = tuple(slice(side.start - 1, side.stop + 1) for side in box)
         hole = holes[part] == number
+        if outline is not None and outline[part][hole].mean() < SHARED:
+            continue
         rim = binary_dilation(hole) & solid[part]
         if (change[part][rim] >= least).mean() < RIMMED:
             filled[part][hole] = 1.0

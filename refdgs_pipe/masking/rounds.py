@@ -265,14 +265,16 @@ class _Worker:
             out.append(np.where(held, np.minimum(value, -CERTAIN), value))
         return out
 
-    def _cuts(self, values: list[F32]) -> list[F32]:
-        """(H, W) the cut of each photo."""
+    def _cuts(self, values: list[F32], outlines: list[Bools] | None = None) -> list[F32]:
+        """(H, W) the cut of each photo; outlines: (H, W) of the solid, if there is one."""
 
-        def one(pair: tuple[F32, Shot]) -> F32:
-            evidence, shot = pair
-            return without_false_holes(cut(evidence, shot.rgb, weight=self.weight), shot.rgb)
+        def one(given: tuple[F32, Shot, Bools | None]) -> F32:
+            evidence, shot, outline = given
+            mask = cut(evidence, shot.rgb, weight=self.weight)
+            return without_false_holes(mask, shot.rgb, outline)
 
-        return mapped(one, list(zip(values, self.shots, strict=True)), self.threads)
+        known = [None] * len(values) if outlines is None else outlines
+        return mapped(one, list(zip(values, self.shots, known, strict=True)), self.threads)
 
     def _near_outlines(self, values: list[F32], outlines: list[Bools]) -> list[F32]:
         """(H, W) masks that stay near the solid's silhouettes."""
@@ -283,7 +285,7 @@ class _Worker:
             prior = PRIOR * np.where(distance > 0, doubt, 1) * np.clip(distance, -1, 1)
             evidence = np.where(distance < -1, SURE, value - prior)
             out.append(np.asarray(evidence, np.float32))
-        return self._cuts(out)
+        return self._cuts(out, outlines)
 
     def _free(self, masks: list[F32]) -> list[Bools]:
         """(H, W) where photos do not deny the object."""

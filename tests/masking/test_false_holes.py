@@ -29,6 +29,13 @@ def test_a_hole_without_an_edge_is_filled() -> None:
     assert np.array_equal(without_false_holes(torn, rgb), true)
 
 
+def test_a_hole_that_the_solid_has_too_stays() -> None:
+    rgb, true = ring(hole=False)
+    _, torn = ring(hole=True)
+    assert np.array_equal(without_false_holes(torn, rgb, torn > 0.5), torn)
+    assert np.array_equal(without_false_holes(torn, rgb, true > 0.5), true)
+
+
 def test_what_lies_outside_stays_and_so_does_a_mask_of_nothing() -> None:
     rgb, true = ring(hole=False)
     assert np.array_equal(without_false_holes(true, rgb), true)
