@@ -3,12 +3,13 @@
 from collections.abc import Callable
 
 from refdgs_pipe.artifacts.asset import Delivery
+from refdgs_pipe.export.targets.film import film
 from refdgs_pipe.export.targets.game import game
 from refdgs_pipe.export.targets.names import FOLDER, Target
 from refdgs_pipe.export.targets.order import Made, Order
 from refdgs_pipe.export.targets.web import web
 
-_MAKERS = {"web": web, "game": game}
+_MAKERS = {"web": web, "game": game, "film": film}
 
 
 def deliver(name: Target, order: Order, warn: Callable[[str], None]) -> Delivery:
