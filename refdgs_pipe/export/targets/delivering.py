@@ -3,13 +3,15 @@
 from collections.abc import Callable
 
 from refdgs_pipe.artifacts.asset import Delivery
+from refdgs_pipe.export.targets.ar import ar
 from refdgs_pipe.export.targets.film import film
 from refdgs_pipe.export.targets.game import game
 from refdgs_pipe.export.targets.names import FOLDER, Target
 from refdgs_pipe.export.targets.order import Made, Order
+from refdgs_pipe.export.targets.printing import print_
 from refdgs_pipe.export.targets.web import web
 
-_MAKERS = {"web": web, "game": game, "film": film}
+_MAKERS = {"web": web, "ar": ar, "game": game, "film": film, "print": print_}
 
 
 def deliver(name: Target, order: Order, warn: Callable[[str], None]) -> Delivery:
