@@ -1,5 +1,6 @@
 """For 3D printers: one closed body in millimetres, as 3MF."""
 
+import locale
 import re
 import uuid
 import zipfile
@@ -89,6 +90,7 @@ def write_body(folder: Path, vertices: F64, faces: Faces) -> dict[str, object]:
 
     meshes = pymeshlab.MeshSet(verbose=False)
     body = closed_body(meshes, vertices, faces)
+    spoken = locale.setlocale(locale.LC_ALL)
     for suffix in ("3mf", "stl"):
         path = folder / f"asset.{suffix}"
         try:
@@ -96,6 +98,8 @@ def write_body(folder: Path, vertices: F64, faces: Faces) -> dict[str, object]:
         except pymeshlab.PyMeshLabException:
             path.unlink(missing_ok=True)
             continue
+        finally:  # writing 3MF leaves the locale "C"
+            locale.setlocale(locale.LC_ALL, spoken)
         return {"file": path.name, "body": body}
     raise MeshError("the mesh library writes neither 3MF nor STL: install pymeshlab again")
 
