@@ -323,8 +323,9 @@ def _validate(
     except ValidationError as error:
         problem = error.errors()[0]
         key = ".".join(str(part) for part in problem["loc"])
-        info = model.model_fields.get(str(problem["loc"][0])) if problem["loc"] else None
-        origin = origins.get(f"{stage}.{key}", "recipe")
+        whole = str(problem["loc"][0]) if problem["loc"] else ""  # of which this may be an item
+        info = model.model_fields.get(whole)
+        origin = origins.get(f"{stage}.{key}", origins.get(f"{stage}.{whole}", "recipe"))
         reason = problem["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
         about = f". {key}: {meaning(info)}" if info else ""
         shown = _toml(problem["input"]) or "unset"

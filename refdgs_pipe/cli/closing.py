@@ -4,9 +4,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from refdgs_pipe.artifacts.asset import Asset
 from refdgs_pipe.cli.verdict import closing_lines, to_do
 from refdgs_pipe.cli.workspace import Workspace
+from refdgs_pipe.errors import CorruptError
 from refdgs_pipe.evaluation.verdict import Verdict
+from refdgs_pipe.export.targets.names import FOLDER
 from refdgs_pipe.formatting import aligned, counted, duration, merged, size
 from refdgs_pipe.pipeline.plan import Step
 from refdgs_pipe.reporting.dimensions import dimensions, is_size_known
@@ -56,10 +59,11 @@ def _asset(record: dict[str, Any]) -> list[str]:
     files: dict[str, int] = record["files"]
     named = [name for name in FIRST if name in files] or list(files)[:3]
     rows = [(name, size(files[name])) for name in named]
-    rest = [count for name, count in files.items() if name not in named]
+    made = f"{FOLDER}/"  # those are named one by one below
+    rest = [n for name, n in files.items() if name not in named and not name.startswith(made)]
     if rest:
         rows.append((f"{len(rest)} more", size(sum(rest))))
-    lines = [f"the asset is in {record['asset']}", *aligned(rows, before="  ")]
+    lines = [f"the asset is in {record['asset']}", *aligned(rows, before="  "), *_uses(record)]
     if record["size"] is None:
         return lines
     found = dimensions(Path(record["asset"]) / "asset.glb")
@@ -71,3 +75,19 @@ def _asset(record: dict[str, Any]) -> list[str]:
         f"its real size is unknown; in the files it is {sides}",
         "  give its longest side: --size METRES; or print a mat for the photos: refdgs-pipe mat",
     ]
+
+
+def _uses(record: dict[str, Any]) -> list[str]:
+    """Which files were made for what."""
+    try:
+        targets = Asset.load(Path(record["asset"])).targets
+    except CorruptError:
+        return []
+    files: dict[str, int] = record["files"]
+    rows = []
+    for made in targets:
+        use, summary = made.name, made.summary
+        for name in made.main_files:
+            rows.append((use, name, size(files.get(name, 0)), summary))
+            use = summary = ""
+    return ["made for:", *aligned(rows, before="  ")] if rows else []

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from refdgs_pipe.export.product import Product, jpeg, png
 
-_FLOAT, _USHORT, _UINT = 5126, 5123, 5125
-_VERTICES, _INDICES = 34962, 34963  # bufferView.target
+_COMPONENTS = {"f4": 5126, "u4": 5125, "u2": 5123, "i2": 5122, "u1": 5121, "i1": 5120}
+VERTICES, INDICES = 34962, 34963  # bufferView.target
 _CLAMP, _LINEAR, _MIPMAPS = 33071, 9729, 9987
 
 
@@ -21,16 +21,16 @@ def write_glb(path: Path, product: Product, *, generator: str) -> None:
     Args:
         generator: the tool and its version.
     """
-    chunk = _Chunk()
+    chunk = Chunk()
     indices = product.faces.reshape(-1)
     is_small = len(product.vertices) < 65535
     attributes = {
-        "POSITION": chunk.accessor(product.vertices, "VEC3", _VERTICES, bounds=True),
-        "NORMAL": chunk.accessor(product.normals, "VEC3", _VERTICES),
-        "TANGENT": chunk.accessor(product.tangents, "VEC4", _VERTICES),
-        "TEXCOORD_0": chunk.accessor(product.uv, "VEC2", _VERTICES),
+        "POSITION": chunk.accessor(product.vertices, "VEC3", VERTICES, bounds=True),
+        "NORMAL": chunk.accessor(product.normals, "VEC3", VERTICES),
+        "TANGENT": chunk.accessor(product.tangents, "VEC4", VERTICES),
+        "TEXCOORD_0": chunk.accessor(product.uv, "VEC2", VERTICES),
     }
-    faces = chunk.accessor(indices.astype(np.uint16 if is_small else np.uint32), "SCALAR", _INDICES)
+    faces = chunk.accessor(indices.astype(np.uint16 if is_small else np.uint32), "SCALAR", INDICES)
     packed = np.stack([product.occlusion, product.roughness, product.metallic], -1)
     images = [
         chunk.image("base_color", jpeg(product.base_color), "image/jpeg"),
@@ -38,7 +38,23 @@ def write_glb(path: Path, product: Product, *, generator: str) -> None:
         chunk.image("normal", png(product.normal), "image/png"),
     ]
     primitive = {"attributes": attributes, "indices": faces, "material": 0, "mode": 4}
-    document = {
+    save_glb(path, document_of(product, chunk, primitive, images, generator=generator), chunk)
+
+
+def document_of(
+    product: Product,
+    chunk: "Chunk",
+    primitive: dict[str, Any],
+    images: list[dict[str, Any]],
+    *,
+    generator: str,
+) -> dict[str, Any]:
+    """The JSON of one mesh with one material.
+
+    Args:
+        images: base colour; occlusion, roughness and metal; normals.
+    """
+    return {
         "asset": {"version": "2.0", "generator": generator, "extras": product.about},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
@@ -54,6 +70,10 @@ def write_glb(path: Path, product: Product, *, generator: str) -> None:
         "bufferViews": chunk.views,
         "buffers": [{"byteLength": len(chunk.data)}],
     }
+
+
+def save_glb(path: Path, document: dict[str, Any], chunk: "Chunk") -> None:
+    """Write a document and its binary chunk as one file."""
     text = json.dumps(document, separators=(",", ":"), ensure_ascii=False).encode()
     text += b" " * (-len(text) % 4)
     total = 12 + 8 + len(text) + 8 + len(chunk.data)
@@ -78,7 +98,7 @@ def _material(product: Product) -> dict[str, Any]:
     }
 
 
-class _Chunk:
+class Chunk:
     """The binary chunk while it grows. Every view starts at a multiple of four bytes."""
 
     def __init__(self) -> None:
@@ -93,20 +113,43 @@ class _Chunk:
         return len(self.views) - 1
 
     def accessor(
-        self, values: NDArray[Any], kind: str, target: int, *, bounds: bool = False
+        self,
+        values: NDArray[Any],
+        kind: str,
+        target: int,
+        *,
+        bounds: bool = False,
+        normalized: bool = False,
     ) -> int:
-        component = {"f4": _FLOAT, "u2": _USHORT, "u4": _UINT}[values.dtype.str[1:]]
+        """Add rows of numbers; rows that are no multiple of four bytes are padded.
+
+        Args:
+            normalized: whole numbers stand for fractions (KHR_mesh_quantization).
+        """
+        rows = np.ascontiguousarray(values)
+        size = rows[0].nbytes if target == VERTICES else 0
+        more: dict[str, Any] = {"target": target}
+        content = rows.tobytes()
+        if size % 4:
+            stride = size + -size % 4
+            padded = np.zeros((len(rows), stride), np.uint8)
+            padded[:, :size] = rows.view(np.uint8).reshape(len(rows), size)
+            content, more["byteStride"] = padded.tobytes(), stride
         record: dict[str, Any] = {
-            "bufferView": self._view(np.ascontiguousarray(values).tobytes(), target=target),
-            "componentType": component,
+            "bufferView": self._view(content, **more),
+            "componentType": _COMPONENTS[values.dtype.str[1:]],
             "count": len(values),
             "type": kind,
         }
+        if normalized:
+            record["normalized"] = True
         if bounds:
-            record["min"] = [float(x) for x in values.min(0)]
-            record["max"] = [float(x) for x in values.max(0)]
+            number = float if values.dtype.kind == "f" else int
+            record["min"] = [number(x) for x in values.min(0)]
+            record["max"] = [number(x) for x in values.max(0)]
         self.accessors.append(record)
         return len(self.accessors) - 1
 
     def image(self, name: str, content: bytes, mime: str) -> dict[str, Any]:
+        """Add an image file; what the document says of it is returned."""
         return {"name": name, "mimeType": mime, "bufferView": self._view(content)}

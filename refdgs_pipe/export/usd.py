@@ -2,6 +2,7 @@
 
 import struct
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,21 @@ from refdgs_pipe.export.about import About
 from refdgs_pipe.export.product import Product
 
 
-def write_usdc(path: Path, product: Product, *, textures: str, comment: str) -> None:
-    """Write the product as a USDC; `textures` is the folder of the pictures seen from there."""
+def write_usdc(
+    path: Path,
+    product: Product,
+    *,
+    textures: str,
+    comment: str,
+    base_color: str = "base_color.jpg",
+    extend: Callable[[Any, Any], None] | None = None,
+) -> None:
+    """Write the product as a USDC.
+
+    Args:
+        textures: the folder of the pictures seen from there; base_color: the file of that one.
+        extend: gets the stage and the material before they are saved.
+    """
     from pxr import Kind, Sdf, Usd, UsdGeom, UsdShade, Vt
 
     path.unlink(missing_ok=True)
@@ -42,7 +56,9 @@ def write_usdc(path: Path, product: Product, *, textures: str, comment: str) -> 
         "st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex
     )
     primvar.Set(Vt.Vec2fArray.FromNumpy(st))
-    material = _material(stage, textures, has_metal=product.has_metal)
+    material = _material(stage, textures, base_color, has_metal=product.has_metal)
+    if extend is not None:
+        extend(stage, material)
     UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
     stage.GetRootLayer().Save()
 
@@ -79,7 +95,7 @@ def _padding(offset: int) -> bytes:
     return struct.pack("<HH", 0x1986, size) + b"\0" * size
 
 
-def _material(stage: Any, textures: str, *, has_metal: bool) -> Any:
+def _material(stage: Any, textures: str, base_color: str, *, has_metal: bool) -> Any:
     from pxr import Sdf, UsdShade
 
     types = Sdf.ValueTypeNames
@@ -105,7 +121,7 @@ def _material(stage: Any, textures: str, *, has_metal: bool) -> Any:
             shader.CreateInput("bias", types.Float4).Set((-1, -1, -1, 0))
         return shader.CreateOutput(output, kind)
 
-    color = texture("base_color", "base_color.jpg", "sRGB", "rgb", types.Float3)
+    color = texture("base_color", base_color, "sRGB", "rgb", types.Float3)
     surface.CreateInput("diffuseColor", types.Color3f).ConnectToSource(color)
     # Old Quick Look wants grey pictures of their own, not channels of one.
     rough = texture("roughness", "roughness.png", "raw", "r", types.Float)

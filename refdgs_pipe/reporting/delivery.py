@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from refdgs_pipe.artifacts.asset import Asset
+from refdgs_pipe.artifacts.asset import Asset, Delivery
 from refdgs_pipe.formatting import size
 from refdgs_pipe.reporting.dimensions import dimensions, is_size_known
 from refdgs_pipe.reporting.facts import Drawing, Facts
@@ -20,6 +20,15 @@ _USES: tuple[tuple[str, tuple[str, ...], str], ...] = (
     ("Light", ("environment.hdr",), "The light around the object, as an environment map."),
     ("Gaussian splats", ("splats.ply", "splats.usdc"), "What was trained, before the mesh."),
 )  # fmt: skip
+
+# target -> for what, how
+MADE_FOR = {
+    "web": ("Web", "<model-viewer>, three.js and Babylon.js show asset.glb as it is"),
+    "game": ("Game", "One file for each level of detail; textures has the pictures alone"),
+    "film": ("Film, rendering", "asset.usdc has OpenPBR by MaterialX beside UsdPreviewSurface"),
+    "ar": ("AR", "asset.usdz for iPhone and iPad, asset.glb for Scene Viewer on Android"),
+    "print": ("3D printing", "A closed body in millimetres"),
+}
 
 
 def size_line(facts: Facts) -> Html:
@@ -42,12 +51,17 @@ def size_line(facts: Facts) -> Html:
 
 def delivery(facts: Facts, _: Drawing) -> Html:
     """Where the files are, and which to use for what."""
-    there = {file.name: file.bytes for file in facts.load(Asset).files}
+    asset = facts.load(Asset)
+    there = {file.name: file.bytes for file in asset.files}
+    made = {MADE_FOR[delivery.name][0]: delivery for delivery in asset.targets}
     rows: list[tuple[Content, ...]] = []
     for use, names, how in _USES:
         found = [name for name in names if name in there]
-        if found:
+        if use in made:
+            rows.append(_made_row(made.pop(use), there))
+        elif found:
             rows.append((use, _named(found, there), how))
+    rows += [_made_row(delivery, there) for delivery in made.values()]
     where = tag(
         "p",
         "All files are in the folder ",
@@ -56,6 +70,13 @@ def delivery(facts: Facts, _: Drawing) -> Html:
     )
     head = ("for", "file", "how")
     return joined(where, table(head, rows, class_="uses"))
+
+
+def _made_row(delivery: Delivery, there: dict[str, int]) -> tuple[Content, ...]:
+    """The files that were made for one use."""
+    use, how = MADE_FOR[delivery.name]
+    words = ". ".join((how, delivery.summary[:1].upper() + delivery.summary[1:], *delivery.notes))
+    return use, _named(delivery.main_files, there), f"{words}."
 
 
 def _named(names: Sequence[str], there: dict[str, int]) -> Html:

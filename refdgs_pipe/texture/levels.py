@@ -26,12 +26,14 @@ class Level:
     """A coarser version, and how far it is from the mesh that it was made of, world units.
 
     Args:
-        mean, most: distance of both meshes' vertices to the other mesh.
+        mean, most: distance of both meshes' vertices to the other mesh; percentile_95: 95 % of
+            them are nearer than this.
     """
 
     textured: TexturedMesh
     mean: float
     most: float
+    percentile_95: float = 0.0
 
     def told(self, metres_per_unit: float) -> str:
         """The distances in words, metres."""
@@ -48,33 +50,45 @@ def levels(
         MeshError: nothing is left.
         ChildCrashed: the mesh library died.
     """
-    mesh = textured.mesh
     for budget in budgets:
-        if budget >= len(mesh.faces):
-            continue
-        vertices, faces, corners = call_in_child(
-            "refdgs_pipe.texture.levels:simplified",
-            {
-                "vertices": mesh.vertices,
-                "faces": mesh.faces,
-                "corners": mesh.uv[mesh.faces],
-                "target": budget,
-            },
-            timeout_s=_TIMEOUT_S,
-            stop=stop,
-        )
-        if not len(faces):
-            raise MeshError(f"no triangle is left of {len(mesh.faces)} for a level of {budget}")
-        solid = Mesh(vertices.astype(np.float32), faces.astype(np.int32))
-        split = seam_split(solid, np.clip(corners, 0, 1).astype(np.float32))
-        apart = np.concatenate(
-            [
-                _distances(solid.vertices, mesh.vertices, mesh.faces),
-                _distances(mesh.vertices, solid.vertices, solid.faces),
-            ]
-        )
-        coarse = replace(textured, mesh=split, tangents=mikktspace(split))
-        yield Level(coarse, float(apart.mean()), float(apart.max()))
+        if budget < len(textured.mesh.faces):
+            yield level(textured, budget, stop=stop)
+
+
+def level(textured: TexturedMesh, budget: int, *, stop: threading.Event | None = None) -> Level:
+    """The level of at most `budget` faces; the textured mesh itself where it has no more.
+
+    Raises:
+        MeshError: nothing is left.
+        ChildCrashed: the mesh library died.
+    """
+    mesh = textured.mesh
+    if budget >= len(mesh.faces):
+        return Level(textured, 0.0, 0.0)
+    vertices, faces, corners = call_in_child(
+        "refdgs_pipe.texture.levels:simplified",
+        {
+            "vertices": mesh.vertices,
+            "faces": mesh.faces,
+            "corners": mesh.uv[mesh.faces],
+            "target": budget,
+        },
+        timeout_s=_TIMEOUT_S,
+        stop=stop,
+    )
+    if not len(faces):
+        raise MeshError(f"no triangle is left of {len(mesh.faces)} for a level of {budget}")
+    solid = Mesh(vertices.astype(np.float32), faces.astype(np.int32))
+    split = seam_split(solid, np.clip(corners, 0, 1).astype(np.float32))
+    apart = np.concatenate(
+        [
+            _distances(solid.vertices, mesh.vertices, mesh.faces),
+            _distances(mesh.vertices, solid.vertices, solid.faces),
+        ]
+    )
+    coarse = replace(textured, mesh=split, tangents=mikktspace(split))
+    far = float(np.percentile(apart, 95))
+    return Level(coarse, float(apart.mean()), float(apart.max()), far)
 
 
 def simplified(

@@ -12,9 +12,11 @@ from typing import Any
 import finished
 import pytest
 
+from refdgs_pipe.artifacts.asset import Asset, Delivery
 from refdgs_pipe.pipeline.store import Store
 from refdgs_pipe.reporting import asset, html, overview
 from refdgs_pipe.reporting import facts as facts_module
+from refdgs_pipe.reporting.delivery import delivery
 from refdgs_pipe.reporting.dimensions import Dimensions, dimensions, is_size_known
 from refdgs_pipe.reporting.facts import TRAINED, Drawing, Facts, collect
 from refdgs_pipe.reporting.overview import Reason, judge
@@ -254,6 +256,24 @@ def test_files_are_named_by_what_they_are_for(text: str) -> None:
     rows = re.findall(r"<tr.*?</tr>", body_of(text, "delivery"), re.DOTALL)
     game, ar = (next(row for row in rows if f">{use}</th>" in row) for use in ("Game", "AR"))
     assert "asset.glb" in game and "asset.usdz" in ar
+
+
+def test_files_that_were_made_for_a_use_are_named_for_it(tmp_path: Path) -> None:
+    plain = facts_of(tmp_path)
+    folder = plain.folder(Asset)
+    for name in ("web/asset.glb", "print/asset.3mf"):
+        (folder / "targets" / name).parent.mkdir(parents=True)
+        (folder / "targets" / name).write_bytes(b"x" * 3000)
+    made = (
+        Delivery("web", ("targets/web/asset.glb",), "9000 triangles", {}, ("A note",)),
+        Delivery("print", ("targets/print/asset.3mf",), "closed", {}),
+    )
+    Asset.of(folder, faces=1, texture_size=64, targets=made).save(folder)
+    said = str(delivery(plain, Drawing()))
+    rows = re.findall(r"<tr.*?</tr>", said, re.DOTALL)
+    (web,) = [row for row in rows if ">Web</th>" in row]
+    assert "targets/web/asset.glb" in web and "9000 triangles. A note." in web
+    assert any("3D printing" in row and "targets/print/asset.3mf" in row for row in rows)
 
 
 def test_the_size_is_told_with_its_three_sides(text: str) -> None:
