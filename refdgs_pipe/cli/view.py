@@ -1,6 +1,7 @@
 """The command `view`: a page that shows a workspace while it is made, on this machine only."""
 
 import os
+import shlex
 import signal
 import sys
 import threading
@@ -61,7 +62,7 @@ def serve(root: Path, port: int, stop: threading.Event, *, parent: int | None = 
             Watch(root, STAGES),
             Effort(core_count()),
             stages={name: doing(name) for name in STAGES},
-            run=f"refdgs-pipe run {printable(root)}",
+            run=f"refdgs-pipe run {shlex.quote(printable(root))}",
             remember=lambda assignments: remember(root, assignments),
         )
         while not stop.wait(page.step()):
@@ -86,7 +87,7 @@ def remember(root: Path, assignments: list[str]) -> str:
         return "A run goes on here. Stop it first, or give these settings to the next run."
     except RefdgsError as error:
         return f"Not remembered: {error}"
-    return f"Remembered. refdgs-pipe run {printable(root)} makes what this changes."
+    return f"Remembered. `refdgs-pipe run {printable(root)}` makes what this changes."
 
 
 def _stop_signal() -> threading.Event:

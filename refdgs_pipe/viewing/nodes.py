@@ -174,8 +174,12 @@ def thinned(model: SparseModel) -> tuple[F64, U8]:
     return model.points[::every], model.point_colors[::every]
 
 
-def stand_before(scene: Scene) -> tuple[F64, F64]:
-    """Where to look from at first, and at what: before the middle camera, a little farther."""
+def stand_before(scene: Scene, *, is_close: bool) -> tuple[F64, F64]:
+    """Where to look from at first, and at what: near the middle camera, outside of all cameras.
+
+    Args:
+        is_close: before the cameras instead, which would hide the object.
+    """
     model = scene.model
     center, up = model.ball.center, model.up
     towards = np.stack([c.center - center for c in model.cameras])
@@ -185,5 +189,6 @@ def stand_before(scene: Scene) -> tuple[F64, F64]:
     if np.linalg.norm(mean) < 1e-6 * model.ball.radius:
         mean = np.cross(up, np.eye(3)[np.abs(up).argmin()])
     ahead = mean / np.linalg.norm(mean)
-    distance = max(1.3 * float(away.max()), 3.0 * model.ball.radius)
+    distance = 0.7 * float(np.median(away)) if is_close else 1.3 * float(away.max())
+    distance = max(distance, (2.0 if is_close else 3.0) * model.ball.radius)
     return center + distance * (0.85 * ahead + 0.5 * up), center

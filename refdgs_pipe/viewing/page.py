@@ -86,6 +86,7 @@ class Page:
         if self._chosen:
             self._chosen = False
             self._arrange()
+            self._tell()
         running = self.contents.seen.is_running
         moving = [self._note_moves(n, client, now) for n, client in clients.items()]
         if not self.effort.allows(is_running=running):
@@ -132,7 +133,7 @@ class Page:
             self.nodes.picture(name, pixels)
         if not is_first:
             return
-        eye, target = stand_before(scene)
+        eye, target = stand_before(scene, is_close=bool(self.contents.newest))
         start = self.server.initial_camera
         start.up, start.position, start.look_at = (
             tuple(scene.model.up),

@@ -198,13 +198,12 @@ class _Adjusting:
             disable_rotations=True,
             visible=False,
         )
-        for handle in (self._center, self._radius, *self._lean):
-            handle.on_update(lambda _: self._update())
+        for number in (self._center, self._radius, *self._lean):
+            number.on_update(lambda _: self._update())
         self._gizmo.on_update(lambda _: self._dragged())
         self._handle.on_update(lambda _: self._toggle())
         self._button.on_click(lambda _: self._write(remember))
         self._reset.on_click(lambda _: self._restore())
-        self._update()
 
     @property
     def choice(self) -> Choice:

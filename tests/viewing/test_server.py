@@ -8,7 +8,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
+from viewing.light_browser import LightBrowser
 from viewing.test_watching import work
 
 from refdgs_pipe.errors import InputError
@@ -16,7 +18,9 @@ from refdgs_pipe.viewing.panel import Told, command, state_html, table_html
 from refdgs_pipe.viewing.server import HOST, free_port
 from refdgs_pipe.viewing.watching import Seen, Watch
 
-PATIENCE_S = 60.0
+PATIENCE_S, PICTURE = 60.0, "BackgroundImageMessage"
+MIDDLE = np.array([0.0, 0.0, 1.0])  # of the object in `finished`
+EYE, ELSEWHERE = np.array([3.0, 0.5, 2.0]), np.array([0.5, 3.0, 2.0])
 
 
 @contextmanager
@@ -89,6 +93,49 @@ def test_only_pages_of_this_machine_may_connect(
         else:
             with pytest.raises(InvalidStatus, match="403"):
                 connect(where, subprotocols=protocols, **options)
+
+
+def test_a_browser_gets_cameras_points_and_photos_then_mesh_and_asset(tmp_path: Path) -> None:
+    work(tmp_path)
+    with served(tmp_path) as port:
+        browser = LightBrowser(port, look_at=MIDDLE, eye=EYE)
+        kinds = ("CameraFrustumMessage", "PointCloudMessage", "MeshMessage", "GlbMessage")
+        browser.until(*kinds, patience_s=PATIENCE_S)
+        browser.close()
+    frusta = [m for m in browser.messages if m["type"] == "CameraFrustumMessage"]
+    assert len(frusta) == 5
+
+
+def test_a_browser_gets_the_field_as_it_sees_it_and_again_only_if_it_moves(tmp_path: Path) -> None:
+    work(tmp_path, until="refine")
+
+    def settled(browser: LightBrowser) -> int:
+        """How many pictures came, once no more do: a small one first, then a larger one."""
+        count = -1
+        while count != (count := sum(m["type"] == PICTURE for m in browser.messages)) or not count:
+            browser.listen(4.0)
+        return count
+
+    with served(tmp_path) as port:
+        browser = LightBrowser(port, look_at=MIDDLE, eye=EYE)
+        count = settled(browser)
+        assert count <= 3
+        browser.messages.clear()
+        browser.look(look_at=MIDDLE, eye=ELSEWHERE)
+        assert settled(browser) >= 1
+        browser.close()
+
+
+def test_a_workspace_that_is_not_there_yet_is_waited_for(tmp_path: Path) -> None:
+    root = tmp_path / "work"
+    with served(root) as port:
+        browser = LightBrowser(port, look_at=MIDDLE, eye=EYE)
+        browser.listen(3.0)
+        assert "CameraFrustumMessage" not in browser.kinds
+        work(root, until="gate")
+        browser.until("CameraFrustumMessage", patience_s=PATIENCE_S)
+        browser.close()
+    assert not (root / ".lock").exists()
 
 
 def test_no_public_address_is_made() -> None:
