@@ -13,7 +13,7 @@ from refdgs_pipe.cli.batch.commands import batches
 from refdgs_pipe.cli.cache import caches
 from refdgs_pipe.cli.check import check_command
 from refdgs_pipe.cli.companion import accompanied
-from refdgs_pipe.cli.device import bytes_of, check_device
+from refdgs_pipe.cli.device import bytes_of, check_device, core_count
 from refdgs_pipe.cli.doctor import doctor_command
 from refdgs_pipe.cli.ending import end_with
 from refdgs_pipe.cli.mat import mat_command
@@ -132,7 +132,7 @@ def run_command(
         return
     if verify:
         make_sound(space, tell=spaces.note)
-    with accompanied(space.root, wanted=view):
+    with accompanied(space.root, wanted=view, threads=threads or core_count()):
         code = make(space, options)
     raise typer.Exit(code)
 

@@ -14,7 +14,7 @@ _END_S = 5.0  # for the view to end once it was told to
 
 
 @contextmanager
-def accompanied(root: Path, *, wanted: bool) -> Iterator[None]:
+def accompanied(root: Path, *, wanted: bool, threads: int) -> Iterator[None]:
     """Show a workspace while a run goes on in it.
 
     At a terminal the view stays after a run that went well, until Ctrl-C; else it ends with the
@@ -22,6 +22,7 @@ def accompanied(root: Path, *, wanted: bool) -> Iterator[None]:
 
     Args:
         wanted: without it nothing happens.
+        threads: of the run.
 
     Raises:
         InputError: viser is not installed, or no port is free.
@@ -33,7 +34,7 @@ def accompanied(root: Path, *, wanted: bool) -> Iterator[None]:
 
     check_installed()
     port = free_port()
-    where = [str(root), "--port", str(port), "--with-run"]
+    where = [str(root), "--port", str(port), "--with-run", str(threads)]
     command = [sys.executable, "-m", "refdgs_pipe", "view", *where]
     print(f"view: {address(port)}", file=sys.stderr, flush=True)
     companion = Companion(command, again=f"refdgs-pipe view {printable(root)}")

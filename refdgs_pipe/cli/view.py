@@ -28,7 +28,7 @@ def view_command(
     port: Annotated[
         int, typer.Option("--port", min=0, max=65535, help="0: a free one from 8080 on")
     ] = 0,
-    with_run: Annotated[bool, typer.Option("--with-run", hidden=True)] = False,
+    with_run: Annotated[int, typer.Option("--with-run", hidden=True, help="its threads")] = 0,
 ) -> None:
     """Show a workspace in a browser, also while it is made; Ctrl-C ends the view."""
     from refdgs_pipe.viewing.server import check_installed, free_port
@@ -40,13 +40,17 @@ def view_command(
     port = free_port(port)
     stop = _stop_signal()
     _be_modest()
-    serve(root, port, stop, parent=os.getppid() if with_run else None)
+    parent = os.getppid() if with_run else None
+    serve(root, port, stop, cores=with_run or core_count(), parent=parent)
 
 
-def serve(root: Path, port: int, stop: threading.Event, *, parent: int | None = None) -> None:
+def serve(
+    root: Path, port: int, stop: threading.Event, *, cores: int, parent: int | None = None
+) -> None:
     """Show a workspace until `stop` is set.
 
     Args:
+        cores: that a run in the workspace may use.
         parent: end too once this process is not our parent any more.
     """
     from refdgs_pipe.viewing.effort import Effort
@@ -60,7 +64,7 @@ def serve(root: Path, port: int, stop: threading.Event, *, parent: int | None = 
         page = Page(
             server,
             Watch(root, STAGES),
-            Effort(core_count()),
+            Effort(cores),
             stages={name: doing(name) for name in STAGES},
             run=f"refdgs-pipe run {shlex.quote(printable(root))}",
             remember=lambda assignments: remember(root, assignments),

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable
 
-SHARE = 0.03  # of the core-seconds that the run could have used
+SHARE = 0.02  # of the core-seconds that the run may use; runs use some four fifths of these
 _SAVED_S = 5.0  # core-seconds that are kept for later at most
 
 

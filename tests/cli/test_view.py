@@ -2,14 +2,16 @@
 
 import json
 import os
+import pty
 import signal
+import subprocess
 import sys
 import threading
 import time
 from pathlib import Path
 
 import pytest
-from shells import Shell
+from shells import FAKE_CLI, Shell
 
 from refdgs_pipe.cli.companion import Companion
 from refdgs_pipe.cli.memory import Memory
@@ -69,6 +71,32 @@ def test_a_run_with_a_view_ends_as_one_without(shell: Shell) -> None:
     assert result.stdout == f"{shell.work / 'asset'}\n"
     assert result.stderr.startswith("view: http://127.0.0.1:")
     assert "warning" not in result.stderr
+
+
+def test_at_a_terminal_the_view_stays_until_ctrl_c_and_the_run_has_gone_well(shell: Shell) -> None:
+    pytest.importorskip("viser")
+    master, slave = pty.openpty()
+    command = [sys.executable, str(FAKE_CLI), "run", "letters", "--view"]
+    process = subprocess.Popen(
+        command,
+        cwd=shell.root,
+        env=shell.environment,
+        stdin=slave,
+        stderr=slave,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    os.close(slave)
+    said = ""
+    while "view: still at http://127.0.0.1:" not in said:
+        said += os.read(master, 1000).decode()
+    assert process.poll() is None
+    child = _child_of(process.pid)
+    process.send_signal(signal.SIGINT)
+    out, _ = process.communicate(timeout=60)
+    os.close(master)
+    assert (process.returncode, out) == (0, f"{shell.work / 'asset'}\n")
+    assert not _command(child)
 
 
 def test_a_view_that_is_killed_changes_nothing_about_the_run(shell: Shell) -> None:

@@ -30,7 +30,7 @@ def served(root: Path) -> Iterator[int]:
     from refdgs_pipe.cli.view import serve
 
     port, stop = free_port(), threading.Event()
-    thread = threading.Thread(target=serve, args=(root, port, stop))
+    thread = threading.Thread(target=serve, args=(root, port, stop), kwargs={"cores": 2})
     thread.start()
     try:
         _until(lambda: _answers(port))
