@@ -178,6 +178,9 @@ class Contents:
     def field(self) -> ShownField | None:
         """The field, as the newest checkpoint or result has it."""
         begun, trained = self.seen.begun, self._trained(also="train")
+        if begun is not None and not begun.path.exists():  # its stage ended since the last look
+            kept: ShownField | None = self._pieces.get("field", ((), None))[1]
+            return kept
         if begun is not None and (trained is None or begun.made >= trained.made):
             marks: Marks = (begun.mark,)
         else:

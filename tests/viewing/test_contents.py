@@ -8,12 +8,14 @@ from typing import Any
 import finished
 import numpy as np
 import pytest
+from training.test_unfinished import stopped
 from viewing.test_watching import work
 
 from refdgs_pipe.artifacts.appearance import Appearance
 from refdgs_pipe.pipeline.catalog import STAGES
-from refdgs_pipe.pipeline.store import Record, Store
+from refdgs_pipe.pipeline.store import Origin, Record, Store
 from refdgs_pipe.stage_words import doing
+from refdgs_pipe.training.checkpoint import NAME
 from refdgs_pipe.viewing.contents import GLB, Contents, summary
 from refdgs_pipe.viewing.watching import Watch
 
@@ -127,6 +129,24 @@ def test_a_piece_is_the_same_while_nothing_changes(tmp_path: Path) -> None:
     found.adopt(Watch(tmp_path, STAGES).look())
     assert found.field() is field
     assert found.scene() is scene
+
+
+def test_a_checkpoint_is_shown_and_stays_until_the_result_of_its_stage_is_seen(
+    tmp_path: Path,
+) -> None:
+    store = work(tmp_path / "work", until="start")
+    trainer = stopped(tmp_path / "train", 3)
+    scratch = store.scratch(Origin("train", 1, {}, {}))
+    (tmp_path / "train" / NAME).rename(scratch / NAME)
+    found = contents(tmp_path / "work")
+    shown = found.field()
+    assert shown is not None
+    assert shown.about == "checkpoint of train"
+    np.testing.assert_array_equal(shown.field.geometry.means, trainer.frozen().geometry.means)
+    (scratch / NAME).unlink()
+    assert found.field() is shown
+    found.adopt(Watch(tmp_path / "work", STAGES).look())
+    assert found.field() is None
 
 
 def test_the_asset_lies_on_the_mesh_whatever_size_it_was_given(tmp_path: Path) -> None:
