@@ -41,7 +41,7 @@ class Nodes:
         self._scene, self._jump = scene, jump
         self._frusta: dict[str, Any] = {}
         self._nodes: dict[str, Any] = {}
-        scene.configure_environment_map("studio", environment_intensity=0.6)
+        scene.configure_environment_map("city")
 
     def place(self, scene: Scene) -> None:
         """Cameras, points, ball, plane and up direction, in place of those that were there."""
@@ -59,7 +59,7 @@ class Nodes:
                 "/points",
                 points,
                 colors,
-                point_size=0.006 * model.ball.radius,
+                point_size=0.01 * model.ball.radius,
                 point_shape="circle",
                 precision="float32",
                 point_shading="flat",

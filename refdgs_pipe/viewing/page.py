@@ -89,7 +89,7 @@ class Page:
             self._tell()
         running = self.contents.seen.is_running
         moving = [self._note_moves(n, client, now) for n, client in clients.items()]
-        if not self.effort.allows(is_running=running):
+        if not self.effort.allows(is_running=running, run_s=self.seen.run_s):
             self._hide_old_pictures(clients, moving)
             return _PAUSES["still"]
         did = self._update() or self._draw(clients, now, is_running=running) or self._add_photo()

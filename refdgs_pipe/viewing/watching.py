@@ -58,6 +58,7 @@ class Seen:
         troubles: stage -> what is wrong with its result, in a sentence.
         begun: the newest checkpoint, if it is newer than the results that it was made from.
         is_running: whether a process works in the workspace.
+        run_s: core-seconds that it has spent, if it runs and that can be told.
     """
 
     results: Mapping[str, Found] = field(default_factory=dict)
@@ -66,6 +67,7 @@ class Seen:
     begun: Begun | None = None
     story: Story = field(default_factory=Story)
     is_running: bool = False
+    run_s: float | None = None
 
     @property
     def stage(self) -> str | None:
@@ -100,7 +102,8 @@ class Watch:
         older = tuple(stage for stage in found if stage not in fitting)
         story = self._logs.read()
         running = is_held(self.root, story)
-        return Seen(fitting, older, troubles, self._begun(fitting), story, running)
+        spent = spent_by_run(self.root) if running else None
+        return Seen(fitting, older, troubles, self._begun(fitting), story, running, spent)
 
     def _result(self, stage: str) -> Found | str | None:
         """The newest result of a stage; a sentence if it is damaged; None if there is none."""
@@ -165,10 +168,8 @@ def is_held(root: Path, story: Story) -> bool:
     The process that noted itself as the holder must have the lock's file open. Where that cannot
     be seen (another user, another machine, another system), its log must have grown lately.
     """
-    try:
-        number, host = read_text(root / OWNER, limit=_NOTE, follow=False).split(maxsplit=1)
-        process = int(number)
-    except (OSError, ValueError):
+    process, host = _holder(root)
+    if process is None:
         return False
     with suppress(OSError):
         if host == socket.gethostname() and Path("/proc/self/fd").exists():
@@ -178,6 +179,29 @@ def is_held(root: Path, story: Story) -> bool:
             lock = (root / LOCK).stat()
             return any(_is_same(path, lock) for path in handles.iterdir())
     return story.told is not None and time.time() - story.told < _SILENT_S
+
+
+def spent_by_run(root: Path) -> float | None:
+    """Core-seconds of the process that noted itself as the holder, and of its ended children.
+
+    None if it is not on this machine, or cannot be looked at.
+    """
+    process, host = _holder(root)
+    if process is None or host != socket.gethostname():
+        return None
+    with suppress(OSError, ValueError):
+        fields = Path(f"/proc/{process}/stat").read_text("utf-8").rpartition(")")[2].split()
+        ticks = sum(map(int, fields[11:15]))  # utime, stime, cutime, cstime; see proc(5)
+        return ticks / os.sysconf("SC_CLK_TCK")
+    return None
+
+
+def _holder(root: Path) -> tuple[int | None, str]:
+    """Process and machine that hold the lock, or held it last, as they noted."""
+    with suppress(OSError, ValueError):
+        number, host = read_text(root / OWNER, limit=_NOTE, follow=False).split(maxsplit=1)
+        return int(number), host
+    return None, ""
 
 
 def _is_same(path: Path, lock: os.stat_result) -> bool:

@@ -101,6 +101,14 @@ def test_a_run_is_seen_by_who_holds_the_lock(tmp_path: Path) -> None:
     assert not is_held(tmp_path, Story())  # this process lives on, and has let go
 
 
+def test_the_work_of_a_run_is_told_while_it_holds_the_lock(tmp_path: Path) -> None:
+    store, watch = Store(tmp_path), Watch(tmp_path, STAGES)
+    with store.lock():
+        seen = watch.look()
+        assert seen.run_s == pytest.approx(sum(os.times()[:4]), abs=1.0)
+    assert watch.look().run_s is None
+
+
 def test_on_another_machine_a_run_is_seen_by_its_log(tmp_path: Path) -> None:
     (tmp_path / ".lock-owner").write_text("1 some-other-machine")
     assert is_held(tmp_path, Story(told=time.time()))
