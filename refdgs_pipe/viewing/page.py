@@ -69,6 +69,7 @@ class Page:
         self._shown: dict[str, Any] = {}  # piece -> the object that is shown
         self._photos: dict[str, Any] = {}  # camera -> its picture, small; None if it has none
         self._of: tuple[Any, bool] = (None, False)  # views and masks that these are made of
+        self._has_object = False  # whether any of the object was shown
         self._looked = -LOOK_S
         self._chosen = True  # whether the user chose anything since
 
@@ -101,12 +102,12 @@ class Page:
         return self.contents.seen
 
     def _update(self) -> bool:
-        """Show one piece that is new. Return whether there was one."""
+        """Show one piece that is new, of those that are wanted. Return whether there was one."""
         makers: dict[str, Callable[[], Any]] = {"scene": self.contents.scene}
         makers |= {"mesh": self.contents.mesh, "asset": self.contents.asset}
         makers |= {"field": self.contents.field}
-        for name, make in makers.items():
-            piece = make()
+        for name in ("scene", self._wanted):
+            piece = makers[name]() if name in makers else None
             if piece is self._shown.get(name):
                 continue
             is_first = self._shown.get(name) is None
@@ -117,7 +118,8 @@ class Page:
                 self.nodes.mesh(None if piece is None else piece[0])
             elif name == "asset":
                 self.nodes.asset(piece)
-            if name != "scene" and is_first and piece is not None:
+            if name != "scene" and not self._has_object and piece is not None:
+                self._has_object = True
                 for layer in ("points", "ball"):  # they would hide the object
                     self.panel.layers[layer].value = False
             self._arrange()
@@ -135,11 +137,8 @@ class Page:
             return
         eye, target = stand_before(scene, is_close=bool(self.contents.newest))
         start = self.server.initial_camera
-        start.up, start.position, start.look_at = (
-            tuple(scene.model.up),
-            tuple(eye),
-            tuple(target),
-        )
+        start.up, start.position = tuple(scene.model.up), tuple(eye)
+        start.look_at = tuple(target)
         for client in self.server.get_clients().values():
             with client.atomic():
                 client.camera.up_direction = tuple(scene.model.up)
@@ -154,12 +153,15 @@ class Page:
         self._chosen = True
 
     @property
+    def _wanted(self) -> str:
+        """What of the object is to be shown: "field", "mesh", "asset", "none" or ""."""
+        chosen = str(self.panel.object.value)
+        return self.contents.newest if chosen == "newest" else chosen
+
+    @property
     def _object(self) -> str:
-        """What of the object is to be shown: "field", "mesh", "asset" or ""."""
-        wanted = self.panel.object.value
-        if wanted == "newest":
-            wanted = self.contents.newest
-        return wanted if self._shown.get(wanted) is not None else ""
+        """What of that is there: "field", "mesh", "asset" or ""."""
+        return self._wanted if self._shown.get(self._wanted) is not None else ""
 
     def _arrange(self) -> None:
         """Show and hide what the user chose."""

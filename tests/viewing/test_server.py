@@ -95,11 +95,11 @@ def test_only_pages_of_this_machine_may_connect(
                 connect(where, subprotocols=protocols, **options)
 
 
-def test_a_browser_gets_cameras_points_and_photos_then_mesh_and_asset(tmp_path: Path) -> None:
+def test_a_browser_gets_cameras_points_and_the_newest_of_the_object(tmp_path: Path) -> None:
     work(tmp_path)
     with served(tmp_path) as port:
         browser = LightBrowser(port, look_at=MIDDLE, eye=EYE)
-        kinds = ("CameraFrustumMessage", "PointCloudMessage", "MeshMessage", "GlbMessage")
+        kinds = ("CameraFrustumMessage", "PointCloudMessage", "GlbMessage")
         browser.until(*kinds, patience_s=PATIENCE_S)
         browser.close()
     frusta = [m for m in browser.messages if m["type"] == "CameraFrustumMessage"]
