@@ -17,9 +17,9 @@ from refdgs_pipe.viewing.nodes import Nodes, stand_before, wxyz
 from refdgs_pipe.viewing.panel import LAYERS, Panel, Told
 from refdgs_pipe.viewing.watching import Seen, Watch
 
-LOOK_S = 2.0  # between two looks at the workspace
+LOOK_S, LOOK_RUNNING_S = 2.0, 4.0  # between two looks at the workspace
 REST_S = 0.3  # a camera that stood still so long is at rest
-_PAUSES = {"alone": 0.5, "still": 0.1, "busy": 0.01}  # seconds
+_PAUSES = {"alone": 0.5, "waiting": 0.5, "still": 0.1, "busy": 0.01}  # seconds
 _MOVING, _RESTING = 320, 800  # px of the longer side of what is drawn
 _RESTING_RUNNING = 560  # while a run needs the machine
 _DEEPEST = 160.0  # world units: viser's depth of a picture ends at 167
@@ -80,7 +80,7 @@ class Page:
         if not clients:
             return _PAUSES["alone"]
         now = time.monotonic()
-        if now - self._looked >= LOOK_S:
+        if now - self._looked >= (LOOK_RUNNING_S if self.seen.is_running else LOOK_S):
             self._looked = now
             self.contents.adopt(self.watch.look())
             self._tell()
@@ -88,11 +88,11 @@ class Page:
             self._chosen = False
             self._arrange()
             self._tell()
-        running = self.contents.seen.is_running
+        running = self.seen.is_running or self.seen.run_s is not None
         moving = [self._note_moves(n, client, now) for n, client in clients.items()]
         if not self.effort.allows(is_running=running, run_s=self.seen.run_s):
             self._hide_old_pictures(clients, moving)
-            return _PAUSES["still"]
+            return _PAUSES["waiting"]
         did = self._update() or self._draw(clients, now, is_running=running) or self._add_photo()
         return _PAUSES["busy" if did else "still"]
 
@@ -178,7 +178,9 @@ class Page:
         """What of the object is shown."""
         shown = self._object
         if shown == "field":
-            return f"field, {self._shown['field'].about}"
+            is_drawn = any(client.has is not None for client in self._clients.values())
+            waits = "" if is_drawn else "; not drawn yet, the run comes first"
+            return f"field, {self._shown['field'].about}{waits}"
         if shown == "mesh":
             return f"mesh of {self._shown['mesh'][1]}"
         return shown and "asset, in a light of the view's own"

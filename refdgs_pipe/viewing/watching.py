@@ -21,6 +21,7 @@ Mark: TypeAlias = tuple[str, int]  # changes when what it is of is replaced
 
 CHECKPOINT = "checkpoint.safetensors"  # in a scratch folder, see training/checkpoint.py
 _NOTE = 10_000  # bytes
+_IDLE_S = 0.1  # core-seconds between two looks: a process that only waits spends less
 _SILENT_S = 30.0  # a run whose process cannot be looked at is taken to run while its log grows
 
 
@@ -58,7 +59,8 @@ class Seen:
         troubles: stage -> what is wrong with its result, in a sentence.
         begun: the newest checkpoint, if it is newer than the results that it was made from.
         is_running: whether a process works in the workspace.
-        run_s: core-seconds that it has spent, if it runs and that can be told.
+        run_s: core-seconds that it has spent, if that can be told. A run that has let go of the
+            workspace still has one while it works on, as on its report.
     """
 
     results: Mapping[str, Found] = field(default_factory=dict)
@@ -87,6 +89,7 @@ class Watch:
         self.root, self.stages = root, tuple(stages)
         self._logs = Logs(root / "logs")
         self._known: dict[str, tuple[Mark, Found | str]] = {}
+        self._spent: float | None = None  # by the process that held the lock last
 
     def look(self) -> Seen:
         """What is there now. What cannot be read is a trouble, never an error."""
@@ -102,7 +105,9 @@ class Watch:
         older = tuple(stage for stage in found if stage not in fitting)
         story = self._logs.read()
         running = is_held(self.root, story)
-        spent = spent_by_run(self.root) if running else None
+        spent = spent_by_run(self.root)
+        works_on = spent is not None and self._spent is not None and spent > self._spent + _IDLE_S
+        self._spent, spent = spent, spent if running or works_on else None
         return Seen(fitting, older, troubles, self._begun(fitting), story, running, spent)
 
     def _result(self, stage: str) -> Found | str | None:
