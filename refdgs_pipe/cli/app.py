@@ -12,7 +12,8 @@ from refdgs_pipe.cli import workspace as spaces
 from refdgs_pipe.cli.batch.commands import batches
 from refdgs_pipe.cli.cache import caches
 from refdgs_pipe.cli.check import check_command
-from refdgs_pipe.cli.device import bytes_of, check_device
+from refdgs_pipe.cli.companion import accompanied
+from refdgs_pipe.cli.device import bytes_of, check_device, core_count
 from refdgs_pipe.cli.doctor import doctor_command
 from refdgs_pipe.cli.ending import end_with
 from refdgs_pipe.cli.mat import mat_command
@@ -35,11 +36,13 @@ from refdgs_pipe.cli.options import (
     Until,
     Verbose,
     Verify,
+    View,
     Vram,
 )
 from refdgs_pipe.cli.running import Options, make, print_plan, shared_by, within
 from refdgs_pipe.cli.status import status_command
 from refdgs_pipe.cli.verify import make_sound
+from refdgs_pipe.cli.view import view_command
 from refdgs_pipe.documents import write_json_text
 from refdgs_pipe.errors import InputError
 from refdgs_pipe.formatting import aligned, printable, size
@@ -98,6 +101,7 @@ def run_command(
         typer.Option("--mask-model", help="masks by your own network, ONNX", metavar="FILE"),
     ] = None,
     cache: Cache = None,
+    view: View = False,
     dry_run: DryRun = False,
     verify: Verify = False,
     device: Device = "auto",
@@ -128,7 +132,9 @@ def run_command(
         return
     if verify:
         make_sound(space, tell=spaces.note)
-    raise typer.Exit(make(space, options))
+    with accompanied(space.root, wanted=view, threads=threads or core_count()):
+        code = make(space, options)
+    raise typer.Exit(code)
 
 
 app.command("check")(check_command)
@@ -157,6 +163,7 @@ def rerun_command(
 
 
 app.command("status")(status_command)
+app.command("view")(view_command)
 
 
 @app.command("verify")

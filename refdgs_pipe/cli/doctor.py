@@ -40,6 +40,7 @@ OPTIONAL = {  # module -> (extra, what needs it)
     "onnxruntime": ("mask-model", "--mask-model"),
     "snakemake": ("batch", "batch run"),
     "obstore": ("batch", "--cache"),
+    "viser": ("view", "view"),
 }
 ENOUGH_DISK = 5_000_000_000
 ENOUGH_MEMORY = 4_000_000_000

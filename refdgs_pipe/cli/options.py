@@ -44,6 +44,7 @@ Cache = Annotated[
     str | None,
     typer.Option("--cache", help="share results: s3://, gs://, az:// or a folder", metavar="PLACE"),
 ]
+View = Annotated[bool, typer.Option("--view", help="show it in a browser while it is made")]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="only say what would be done")]
 
 

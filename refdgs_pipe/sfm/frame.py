@@ -51,15 +51,18 @@ def moved_camera_pose(cam_from_sfm: F64, world: F64) -> F64:
 
 def turned_up(model: SparseModel) -> SparseModel:
     """The same model, its world turned about the origin so that its up axis becomes z."""
-    up = model.up
+    world = similarity(1.0, z_from_up(model.up), np.zeros(3))
+    return moved(model, world)
+
+
+def z_from_up(up: F64) -> F64:
+    """(3, 3) the shortest rotation that turns a unit vector (3,) to +z."""
     target = np.array([0.0, 0.0, 1.0])
     axis, cosine = np.cross(up, target), float(up @ target)
     skew = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0.0]])
-    turn = np.diag([1.0, -1.0, -1.0])
     if cosine > -1 + 1e-9:
-        turn = np.eye(3) + skew + skew @ skew / (1 + cosine)
-    world = similarity(1.0, turn, np.zeros(3))
-    return moved(model, world)
+        return np.asarray(np.eye(3) + skew + skew @ skew / (1 + cosine), np.float64)
+    return np.diag([1.0, -1.0, -1.0])
 
 
 def moved(model: SparseModel, world: F64) -> SparseModel:
