@@ -48,7 +48,7 @@ def export(
         job.measure(f"level {number}", len(lod.textured.mesh.faces), lod.told(scale))
     coarser = partial(level, textured, stop=job.stop)
     loss = photo_loss(textured, looks, frame, views, placed)
-    order = Order(job.folder, textured, around, turned, coarser, loss, size)
+    order = Order(job.folder, textured, around, turned, coarser, loss, size, told != "unknown")
     targets = []
     for target in job.track(params.targets, "writing targets"):
         targets.append(deliver(target, order, job.warn))

@@ -55,8 +55,8 @@ def dented(rings: int = 40, size: int = 1024, *, is_open: bool = False) -> Textu
     )
 
 
-def order_in(folder: Path, textured: TexturedMesh, *, size: str = "0.2 m, given") -> Order:
-    """An order beside its asset.glb."""
+def order_in(folder: Path, textured: TexturedMesh, *, unknown: str = "") -> Order:
+    """An order beside its asset.glb; unknown: what is said of a size that is not known."""
     around = Surroundings(
         AssetFrame.of(UP, METRES),
         np.ones((8, 16, 3), np.float32),
@@ -64,6 +64,8 @@ def order_in(folder: Path, textured: TexturedMesh, *, size: str = "0.2 m, given"
         finished.field().geometry,
     )
     turned = partial(product, up=UP, metres_per_unit=METRES, about={"photos": ["a.jpg"]})
-    made = Order(folder, textured, around, turned, partial(level, textured), None, size)
+    size = unknown or "0.2 m, given"
+    coarser = partial(level, textured)
+    made = Order(folder, textured, around, turned, coarser, None, size, not unknown)
     files.glb(folder, made.product)
     return made

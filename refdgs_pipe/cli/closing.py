@@ -87,6 +87,8 @@ def _uses(record: dict[str, Any]) -> list[str]:
     rows = []
     for made in targets:
         use, summary = made.name, made.summary
+        if not made.files:
+            rows.append((use, "", "", summary))
         for name in made.main_files:
             rows.append((use, name, size(files.get(name, 0)), summary))
             use = summary = ""

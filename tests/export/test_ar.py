@@ -66,6 +66,6 @@ def test_the_glb_for_phones_loses_texels_until_it_fits(
 
 
 def test_an_unknown_size_is_said_where_size_matters(tmp_path: Path) -> None:
-    order = order_in(tmp_path, dented(12, 64), size="unknown: exported 1 m long")
+    order = order_in(tmp_path, dented(12, 64), unknown="unknown: exported 1 m long")
     made = deliver("ar", order, pytest.fail)
     assert "unknown" in made.notes[0]

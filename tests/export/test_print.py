@@ -9,6 +9,8 @@ from orders import METRES, dented, order_in
 from solids import sphere, two_pieces, with_fin
 
 from refdgs_pipe.artifacts.asset import Delivery
+from refdgs_pipe.errors import MeshError, OutOfMemory
+from refdgs_pipe.export.targets import delivering
 from refdgs_pipe.export.targets.delivering import deliver
 from refdgs_pipe.export.targets.order import Order
 from refdgs_pipe.export.targets.printing import fault_of, read_three_mf, three_mf_faults, write_body
@@ -60,7 +62,7 @@ def test_the_same_body_gives_the_same_bytes(order: Order, made: Delivery, tmp_pa
 
 def test_an_unknown_size_is_said_with_what_is_assumed(tmp_path: Path) -> None:
     warned: list[str] = []
-    order = order_in(tmp_path, dented(12, 64), size="unknown: exported 1 m long")
+    order = order_in(tmp_path, dented(12, 64), unknown="unknown: exported 1 m long")
     made = deliver("print", order, warned.append)
     assert "real size is unknown" in warned[0] and "--size" in warned[0]
     assert any("unknown" in note for note in made.notes)
@@ -88,3 +90,30 @@ def test_faults_of_bodies_are_found_out(tmp_path: Path) -> None:
         "its unit is , not millimeter",
         "no triangle is left",
     ]
+
+
+def failing(error: Exception) -> object:
+    def make(order: Order, folder: Path) -> None:
+        (folder / "half.3mf").write_bytes(b"")
+        raise error
+
+    return make
+
+
+def test_a_target_that_cannot_be_made_is_a_warning_and_leaves_nothing(
+    order: Order, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(delivering._MAKERS, "ar", failing(MeshError("it has no surface")))
+    said: list[str] = []
+    made = deliver("ar", order, said.append)
+    assert said == ["target ar was not made: it has no surface"]
+    assert (made.files, made.summary, made.notes) == ((), "not made", ("it has no surface",))
+    assert not (order.folder / "targets/ar").exists()
+
+
+def test_a_target_for_which_memory_is_lacking_ends_the_export(
+    order: Order, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(delivering._MAKERS, "web", failing(OutOfMemory("4 GB are needed")))
+    with pytest.raises(OutOfMemory):
+        deliver("web", order, pytest.fail)

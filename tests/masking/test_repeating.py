@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from refdgs_pipe.ground.plane import Ground
+from refdgs_pipe.masking.foot import Foot
 from refdgs_pipe.masking.repeating import covered, lattice
 
 N = 192
@@ -89,3 +91,11 @@ def test_a_shadow_on_the_cloth_is_not_taken_for_an_object() -> None:
 def test_what_lies_beyond_the_cloths_edge_is_not_taken_for_an_object() -> None:
     found = standing(X > 150, np.full((N, N, 3), -1.7))
     assert not found.any()
+
+
+def test_what_is_covered_has_the_same_place_in_a_picture_of_another_size() -> None:
+    foot = Foot([], BOX, radius=2.0)
+    ground = Ground(np.zeros(3), np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), radius=1.0)
+    y, x = (np.mgrid[0:100, 0:100] + 0.5) / 100 * 2 - 1
+    expected = (x > -0.6875) & (x < 0.708) & (y > -0.5625) & (y < 0.333)
+    assert (foot.on(ground, 100) != expected).mean() < 0.02

@@ -47,7 +47,7 @@ def ar(order: Order, folder: Path) -> Made:
 
 def _size_note(order: Order) -> tuple[str, ...]:
     """AR shows things at their true size, so it must be known."""
-    return (f"its size is {order.size}",) if order.size.startswith("unknown") else ()
+    return () if order.is_size_known else (f"its size is {order.size}",)
 
 
 def _write_usdz(folder: Path, product: Product) -> None:

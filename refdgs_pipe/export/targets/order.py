@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
-from refdgs_pipe.color import linear_from_srgb, srgb_from_linear
+from refdgs_pipe.color import fractions, linear_from_srgb, srgb_from_linear
 from refdgs_pipe.export.files import Surroundings
 from refdgs_pipe.export.product import Product
 from refdgs_pipe.vectors import unit
@@ -57,6 +57,7 @@ class Order:
         loss: how many dB of PSNR against the photos another product has less than the asset;
             None where no light is known to draw it in.
         size: how long the asset is, and what tells it, in words.
+        is_size_known: whether anything tells it.
     """
 
     folder: Path
@@ -66,6 +67,7 @@ class Order:
     level: Callable[[int], Level]
     loss: Callable[[Product], float] | None
     size: str
+    is_size_known: bool
     _coarse: dict[int, Coarse] = field(default_factory=dict)
 
     @cached_property
@@ -104,20 +106,16 @@ def with_textures(product: Product, longest: int) -> Product:
     """The product with textures of at most that many texels a side."""
     if len(product.base_color) <= longest:
         return product
-    color = linear_from_srgb(_fractions(product.base_color))
-    normal = _smaller(_fractions(product.normal) * 2 - 1, longest)
+    color = linear_from_srgb(fractions(product.base_color))
+    normal = _smaller(fractions(product.normal) * 2 - 1, longest)
     return replace(
         product,
         base_color=_eight(srgb_from_linear(_smaller(color, longest))),
-        roughness=_eight(_smaller(_fractions(product.roughness), longest)),
-        metallic=_eight(_smaller(_fractions(product.metallic), longest)),
-        occlusion=_eight(_smaller(_fractions(product.occlusion), longest)),
+        roughness=_eight(_smaller(fractions(product.roughness), longest)),
+        metallic=_eight(_smaller(fractions(product.metallic), longest)),
+        occlusion=_eight(_smaller(fractions(product.occlusion), longest)),
         normal=_eight(unit(normal) * 0.5 + 0.5),
     )
-
-
-def _fractions(pixels: U8) -> F32:
-    return pixels.astype(np.float32) / np.float32(255)
 
 
 def _smaller(picture: F32, side: int) -> F32:

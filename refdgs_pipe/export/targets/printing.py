@@ -70,7 +70,7 @@ def print_(order: Order, folder: Path) -> Made:
     said = " x ".join(f"{side:.4g}" for side in sides)
     notes = [f"{path.name}: {body.how}"]
     warnings = []
-    if order.size.startswith("unknown"):
+    if not order.is_size_known:
         notes.append(f"its size is {order.size}")
         warnings.append(
             f"target print: the real size is unknown; {path.name} is {said} mm as assumed. "
