@@ -34,7 +34,7 @@ USUAL = 0.98  # quantile of that difference where nothing stands
 ABOVE = 1.5  # times that
 SHADE = 0.33  # of the period: what is smoother is a shadow
 CLOSED, OPENED = 0.33, 0.15  # of the period: gaps that are closed, slivers that go
-DOUBTFUL = 0.12  # of the period, along the edge of what differs: the difference is blurred
+DOUBTFUL = 0.35  # of the period, along the edge of what differs: shade under what hangs over, blur
 LEAST_AREA = 1.0  # of the area of one repeat
 WITHIN = 0.95  # of what differs, that the ground surrounds: beyond its edge everything differs
 
