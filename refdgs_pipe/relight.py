@@ -17,6 +17,7 @@ from refdgs_pipe.artifacts.lighting import WORLD, Lighting, angle_of, turned
 from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.color import linear_from_srgb, srgb_from_linear
+from refdgs_pipe.ground_light import GroundLight
 from refdgs_pipe.irradiance import Sky, look_around
 from refdgs_pipe.lamp import Lamp
 from refdgs_pipe.light import (
@@ -85,7 +86,7 @@ class Relit:
         textured: its textures are rounded to 8 bits, as the files have them.
         environment: (H, 2H, 3) linear radiance, laid out as `refdgs_pipe.light` says, in the frame
             where it stands still.
-        lighting: how the light moves; white: of `Appearance`.
+        lighting: how the light moves; white, ground: of `Appearance`.
     """
 
     def __init__(
@@ -95,8 +96,9 @@ class Relit:
         *,
         lighting: Lighting = WORLD,
         white: float = 0.0,
+        ground: GroundLight | None = None,
     ) -> None:
-        self.lighting, self.white = lighting, white
+        self.lighting, self.white, self.ground = lighting, white, ground
         self.lamp: Lamp | None = None
         self._rooms: dict[int, tuple[F32, F32]] = {}
         self.mesh, self.tangents = textured.mesh, textured.tangents
@@ -211,8 +213,8 @@ class Relit:
         along = (normal * toward).sum(1, keepdims=True)
         mirrored = unit(2 * along * normal - toward)
         rough = here.roughness[:, 0]
-        incoming = self.light.mirrored(mirrored, rough)
         start = at(mesh.vertices) + self.lift * unit(plain)
+        incoming = self._around(start, mirrored, rough)
         near = self.solid.first(start, mirrored)
         incoming[near.rays] = self._seen(near, mirrored[near.rays], _REFLECTIONS)
         cosine = np.clip(along, 0.02, 1)
@@ -230,6 +232,14 @@ class Relit:
         seen = self.surface(hits, toward)
         return seen.here.scattered * seen.received + seen.mirrored
 
+    def _around(self, points: F32, directions: F32, roughness: F32) -> F32:
+        """(N, 3) light that mirrored rays (N, 3) from points (N, 3) meet beside the object."""
+        far = self.light.mirrored(directions, roughness)
+        if self.ground is None:
+            return far
+        met = self.ground.mirrored(points, directions, roughness)
+        return met[:, :3] + (1 - met[:, 3:]) * far
+
     def _seen(self, hits: Hits, directions: F32, more: int) -> F32:
         """(N, 3) linear radiance that mirrored rays (N, 3) meet on the object.
 
@@ -246,8 +256,9 @@ class Relit:
         here, normal = self._at(at(mesh.uv)), unit(at(mesh.normals))
         along = -(normal * directions).sum(1, keepdims=True)
         onward = unit(directions + 2 * along * normal)
-        incoming = self.light.mirrored(onward, here.roughness[:, 0])
-        near = self.solid.first(at(mesh.vertices) + self.lift * normal, onward)
+        start = at(mesh.vertices) + self.lift * normal
+        incoming = self._around(start, onward, here.roughness[:, 0])
+        near = self.solid.first(start, onward)
         incoming[near.rays] = self._seen(near, onward[near.rays], more - 1)
         cosine = np.clip(along, 0.02, 1)
         received = at(self._received) * passed_share(here.roughness, cosine)
@@ -264,8 +275,19 @@ def relit(textured: TexturedMesh, looks: Appearance) -> Callable[[Camera], tuple
     """What draws a textured mesh in the light that it was told from; None if there is none."""
     if looks.environment is None:
         return None
-    moving = looks.lighting
-    return Relit(textured, looks.environment, lighting=moving, white=looks.white).draw
+    return in_its_light(textured, looks).draw
+
+
+def in_its_light(textured: TexturedMesh, looks: Appearance) -> Relit:
+    """A textured mesh in the light of an appearance that has some."""
+    assert looks.environment is not None
+    return Relit(
+        textured,
+        looks.environment,
+        lighting=looks.lighting,
+        white=looks.white,
+        ground=looks.ground,
+    )
 
 
 def offsets(side: int) -> list[tuple[float, float]]:

@@ -12,7 +12,7 @@ from refdgs_pipe.pipeline.stage import Job, stage
 from refdgs_pipe.texture.settings import AppearanceParams
 
 
-@stage(version=8, programs=("open3d-cpu", "scipy"), by_device=True)
+@stage(version=9, programs=("open3d-cpu", "scipy"), by_device=True)
 def appearance(
     mesh: Mesh,
     field: SurfelField,
@@ -24,10 +24,11 @@ def appearance(
 ) -> Appearance:
     """Fit roughness, metal, colours and light, so that the asset looks as the field does."""
     from refdgs_pipe.artifacts.photos import load_photo
-    from refdgs_pipe.color import linear_from_srgb
+    from refdgs_pipe.sfm.support import support_plane
+    from refdgs_pipe.texture.below import light_below
     from refdgs_pipe.texture.fitting import fit, matte
     from refdgs_pipe.texture.mean_light import MeanLight
-    from refdgs_pipe.texture.sampling import Sampler, Shone
+    from refdgs_pipe.texture.sampling import Sampler
     from refdgs_pipe.training.environment import typical_light
     from refdgs_pipe.training.render import render_surface_map
 
@@ -37,21 +38,22 @@ def appearance(
         return matte(mesh, lift=tolerance / 2)
     cameras = model.training_cameras
     drawn = partial(render_surface_map, field, device=job.device, threads=job.threads, lamp=False)
-    sampler = Sampler(mesh, tolerance=tolerance, per_view=-(-params.samples // len(cameras)))
+    plane = support_plane(model.points, model.ball.center, model.ball.radius, model.up)
+    track = partial(job.track, label="looking at the ground")
+    at, per_view = plane.at if plane else None, -(-params.samples // len(cameras))
+    below = light_below(drawn, views, model, at, field.lighting, track)
+    sampler = Sampler(mesh, tolerance=tolerance, per_view=per_view, ground=below)
     for camera in job.track(cameras, "looking at places"):
         photo = load_photo(views, model, camera, scale=sampler.scale(camera))
-        view = drawn(photo.camera)
-        turn, lamp = field.lighting.light_from_world(camera.center), None
-        if (place := field.lighting.lamp_of(camera)) is not None:
-            lamp = Shone(place, linear_from_srgb(drawn(photo.camera, lamp=True).color))
-        focal = float(camera.K[0, 0])
-        sampler.add(view, photo=photo.alone(), focal=focal, turn=turn, lamp=lamp)
+        sampler.look(drawn, photo, camera, field.lighting)
     samples = sampler.samples()
     light = typical_light(field, samples.roughness, samples.specular, params.light)
     mean = MeanLight.of(field.lighting, [c.center for c in cameras], samples.diffuse)
     lift, metal = tolerance / 2, params.metal == "tell"
     told = partial(job.progress, "telling material from light")
-    found = fit(mesh, samples, light, lift=lift, metal=metal, mean=mean, progress=told)
+    found = fit(
+        mesh, samples, light, lift=lift, metal=metal, mean=mean, ground=below, progress=told
+    )
     assert found.environment is not None  # a fit always has one
     job.measure("mean light", round(float(found.environment.mean()), 3), "linear, 1 is white")
     job.measure("metal", round(float((found.metallic > 0.5).mean()), 3), "share of the vertices")

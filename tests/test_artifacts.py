@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from refdgs_pipe.artifacts.surfel_field import SurfelField
 from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.errors import CorruptError
+from refdgs_pipe.ground_light import GroundLight
 
 KINDS: list[Any] = [
     Appearance,
@@ -62,6 +64,36 @@ def appearance() -> Appearance:
         values(n),
         values(4, 8, 3),
     )
+
+
+def over_ground() -> Appearance:
+    """An appearance with the light below the object."""
+    picture = np.random.default_rng(4).random((6, 6, 4)).astype(np.float16).astype(np.float32)
+    axes = (np.array([1.0, 2, 3]), np.array([1.0, 0, 0]), np.array([0, 1.0, 0]))
+    return replace(appearance(), ground=GroundLight(picture, *axes, radius=2.5))
+
+
+def test_the_light_below_comes_back(tmp_path: Path) -> None:
+    made = over_ground()
+    made.save(tmp_path)
+    found = Appearance.load(tmp_path).ground
+    assert found is not None and made.ground is not None
+    assert np.array_equal(found.picture, made.ground.picture)
+    for name in ("origin", "a", "b", "radius"):
+        assert np.array_equal(getattr(found, name), getattr(made.ground, name))
+
+
+@pytest.mark.parametrize("name", ["origin", "radius", "file"])
+def test_a_damaged_light_below_is_refused(tmp_path: Path, name: str) -> None:
+    over_ground().save(tmp_path)
+    record = json.loads((tmp_path / "appearance.json").read_text("utf-8"))
+    if name == "file":
+        (tmp_path / "ground.safetensors").write_bytes(b"broken")
+    else:
+        record["ground"][name] = float("nan")
+    (tmp_path / "appearance.json").write_text(json.dumps(record), "utf-8")
+    with pytest.raises(CorruptError, match="appearance again"):
+        Appearance.load(tmp_path)
 
 
 def poses() -> Poses:

@@ -3,13 +3,14 @@
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from refdgs_pipe.artifacts.lighting import WORLD, Lighting
 from refdgs_pipe.errors import CorruptError
+from refdgs_pipe.ground_light import GroundLight
 
 F32 = NDArray[np.float32]
 _PER_POINT = {
@@ -21,6 +22,9 @@ _PER_POINT = {
     "received": 3,
     "openness": 0,
 }
+
+
+_GROUND = "ground.safetensors"
 
 
 @dataclass(frozen=True)
@@ -43,6 +47,7 @@ class Appearance:
         lighting: how it moves.
         white: linear radiance of a white matte surface that faces a flash at its `distance`; 0
             without one.
+        ground: the light below the object, as photos show it; None where they do not tell it.
     """
 
     points: F32
@@ -55,6 +60,7 @@ class Appearance:
     environment: F32 | None
     lighting: Lighting = WORLD
     white: float = 0.0
+    ground: GroundLight | None = None
 
     def save(self, folder: Path) -> None:
         from safetensors.numpy import save_file
@@ -70,6 +76,11 @@ class Appearance:
             "lighting": self.lighting.record(),
             "white": self.white,
         }
+        if self.ground is not None:
+            own = self.ground
+            save_file({"picture": own.picture.astype(np.float16)}, folder / _GROUND)
+            axes = {name: getattr(own, name).tolist() for name in ("origin", "a", "b")}
+            record["ground"] = {**axes, "radius": float(own.radius)}
         (folder / "appearance.json").write_text(json.dumps(record), "utf-8")
 
     @classmethod
@@ -95,8 +106,24 @@ class Appearance:
             record = json.loads((folder / "appearance.json").read_text("utf-8"))
             moving = Lighting.of(record["lighting"]) if "lighting" in record else WORLD
             own, white = {name: arrays[name] for name in _PER_POINT}, float(record.get("white", 0))
-            return cls(**own, environment=light, lighting=moving, white=white)
+            ground = _ground(folder, record["ground"]) if "ground" in record else None
+            return cls(**own, environment=light, lighting=moving, white=white, ground=ground)
         except (OSError, KeyError, TypeError, ValueError, SafetensorError) as error:
             raise CorruptError(
                 f"{folder}: not a readable appearance ({error}): run the stage appearance again"
             ) from error
+
+
+def _ground(folder: Path, record: dict[str, Any]) -> GroundLight:
+    """The light below, as `Appearance.save` wrote it."""
+    from safetensors.numpy import load_file
+
+    picture = load_file(folder / _GROUND)["picture"].astype(np.float32)
+    origin, a, b = axes = [np.asarray(record[n], np.float64) for n in ("origin", "a", "b")]
+    radius = float(record["radius"])
+    finite = all(axis.shape == (3,) and np.isfinite(axis).all() for axis in axes)
+    if picture.shape != (len(picture), len(picture), 4) or len(picture) < 2:
+        raise ValueError(f"the ground is {picture.shape}")
+    if not (finite and np.isfinite(picture).all() and 0 < radius < np.inf):
+        raise ValueError("the ground has values that are not finite")
+    return GroundLight(picture, origin, a, b, radius)

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from refdgs_pipe.artifacts.appearance import Appearance
 from refdgs_pipe.artifacts.mesh import TriangleMesh
+from refdgs_pipe.ground_light import GroundLight, at_roughness
 from refdgs_pipe.irradiance import Sky, links_of, look_around, patches, spread
-from refdgs_pipe.light import Environment, blur, lookups
+from refdgs_pipe.light import SMOOTHEST, Environment, blur, lookups, texel_directions
 from refdgs_pipe.texture.mean_light import MeanLight
 from refdgs_pipe.texture.sampling import Samples
 from refdgs_pipe.texture.unknowns import Batch, State, Unknown
@@ -30,6 +31,7 @@ _LEAST_LIGHT = 0.3
 _LEAST_ROOM = 0.02  # beside a flash
 # The brightest that surfaces reflect: white paint, polished silver.
 _WHITE, _SILVER = 0.8, 0.9
+_GUESSED = 0.2  # roughness, before any is told
 _OPEN = 0.6  # what sees less of the sky says little about how bright it is
 # Reflectances between which plastic turns into metal: while the light may still be too bright,
 # and with the light that explains what was first told.
@@ -60,6 +62,7 @@ def fit(
     metal: bool,
     plan: Plan | None = None,
     mean: MeanLight | None = None,
+    ground: GroundLight | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Appearance:
     """The materials and the light under which the mesh looks as the field does.
@@ -69,6 +72,7 @@ def fit(
         lift: how far above the surface rays start, world units.
         metal: whether there may be any.
         mean: how the light moves from photo to photo; None: it stands still.
+        ground: the light below the object, if it is known; the samples have met it.
         progress: called with epochs done and in all.
 
     It works on one thread: torch splits its sums by the number of threads, and sixty epochs make
@@ -77,7 +81,7 @@ def fit(
     plan, before = plan or Plan(), torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        problem = _Problem(mesh, samples, light, lift, mean or MeanLight())
+        problem = _Problem(mesh, samples, light, lift, mean or MeanLight(), ground)
         return _fitted(problem, plan, metal, progress)
     finally:
         torch.set_num_threads(before)
@@ -129,10 +133,18 @@ class _Problem:
     """The samples as matrices, cut into batches of fixed membership."""
 
     def __init__(
-        self, mesh: TriangleMesh, samples: Samples, light: F32, lift: float, mean: MeanLight
+        self,
+        mesh: TriangleMesh,
+        samples: Samples,
+        light: F32,
+        lift: float,
+        mean: MeanLight,
+        ground: GroundLight | None,
     ) -> None:
         self.mesh, self.samples, self.guess, self.mean = mesh, samples, light, mean
+        self.ground = ground
         self.height = len(light)
+        self.told, self.known = self._ground_seen()
         self.blur = blur(self.height)
         self.links = links_of(mesh.faces)
         self.sky: Sky = _look_around(mesh, lift)
@@ -170,9 +182,11 @@ class _Problem:
         """A first guess: the light's unit from what is brightest, metal from what mirrors most."""
         count = len(self.mesh.vertices)
         guess = Environment(self.guess)
-        mirrored = guess.mirrored(self.samples.mirrored, np.full(len(self.far), 0.2, np.float32))
-        far = self.far[:, None]
-        given, had = (self._filled(np.where(far, v, 0)) for v in (self.samples.specular, mirrored))
+        rough = np.full(len(self.far), _GUESSED, np.float32)
+        mirrored, below = guess.mirrored(self.samples.mirrored, rough), self._below(rough)
+        open_to = (1 - below[:, 3:]) * self.far[:, None]
+        sky = open_to > 0.5
+        given, had = (self._filled(np.where(sky, v, 0)) for v in (self.samples.specular, mirrored))
         share = given.mean(1) / np.maximum(had.mean(1), 1e-4)
         unit = max(
             self._white_unit(),
@@ -180,16 +194,42 @@ class _Problem:
             (_LEAST_ROOM if self.mean.white else _LEAST_LIGHT)
             / max(float(self.guess.mean()), 1e-6),
         )
+        if self.ground is not None:
+            seen = np.where(self.far[:, None], self.samples.specular, 0)
+            met = np.float32(unit) * mirrored * open_to + below[:, :3]
+            given, had = (self._filled(np.asarray(v, np.float32)) for v in (seen, met))
+            share = np.float32(unit) * given.mean(1) / np.maximum(had.mean(1), 1e-4)
         metallic = np.clip((share / unit - 0.06) / 0.5, 0.05, 0.9) if metal else np.zeros(count)
+        light = np.maximum(self.guess.reshape(-1, 3) * np.float32(unit), 0.01)
         state = State(
-            np.maximum(self.guess.reshape(-1, 3) * np.float32(unit), 0.01),
+            np.where(self.known[:, None], np.maximum(self.told, 1e-4), light),
             np.full(count, 0.3, np.float32),
             metallic.astype(np.float32),
             np.full((count, 3), 0.8, np.float32),
             np.ones((count, 1), np.float32),
             np.ones((count, 3), np.float32),
+            known=self.known if self.known.any() else None,
         )
         return self._lit(state)
+
+    def _below(self, roughness: F32) -> F32:
+        """(N, 4) what the samples mirror of the ground, and its share of what they mirror."""
+        if self.samples.ground is None:
+            return np.zeros((len(self.far), 4), np.float32)
+        return at_roughness(self.samples.ground, roughness)
+
+    def _ground_seen(self) -> tuple[F32, NDArray[np.bool_]]:
+        """(H * 2H, 3) the ground's light from the middle of the mesh, and (H * 2H,) where."""
+        away = texel_directions(self.height).astype(np.float32)
+        away = away.reshape(-1, 3)
+        if self.ground is None:
+            return np.zeros_like(away), np.zeros(len(away), np.bool_)
+        vertices = self.mesh.vertices
+        middle = np.broadcast_to((vertices.min(0) + vertices.max(0)) / 2, away.shape)
+        met = self.ground.mirrored(middle, away, np.full(len(away), SMOOTHEST, np.float32))
+        share = met[:, 3]
+        told = met[:, :3] / np.maximum(share, np.float32(1e-6))[:, None]
+        return np.asarray(told, np.float32), share > 0.5
 
     def _white_unit(self) -> float:
         """The factor of the guess under which hardly any diffuse colour is brighter than white."""
@@ -197,8 +237,10 @@ class _Problem:
             return 0.0
         diffuse = self._filled(self.samples.diffuse).mean(1)
         nothing = np.zeros_like(self.sent)
-        far = self.mean.received(self.guess, self.sky, nothing).mean(1)
-        near = self.mean.received(np.zeros_like(self.guess), self.sky, self.sent).mean(1)
+        known = self.known.reshape(self.height, -1, 1)
+        told = (known * self.told.reshape(self.guess.shape)).astype(np.float32)
+        far = self.mean.received(np.where(known, 0, self.guess), self.sky, nothing).mean(1)
+        near = self.mean.received(told, self.sky, self.sent).mean(1)
         seen = (np.asarray(self.corners.sum(0)).reshape(-1) > 1) & (self.sky.openness > _OPEN)
         if not seen.any():
             return 0.0
@@ -221,7 +263,11 @@ class _Problem:
         plastic, metal = between
         found = variation.reflectance(light, state.roughness)
         metallic = smooth_step(found, plastic, metal)
-        return self._lit(replace(state, metallic=metallic, told_metallic=metallic))
+        tint = state.tint
+        if self.samples.ground is not None:
+            share, told = variation.tint(light, state.roughness)
+            tint = np.asarray(tint + told * (share - tint), np.float32)
+        return self._lit(replace(state, metallic=metallic, told_metallic=metallic, tint=tint))
 
     def shown_by_photos(self, state: State) -> State:
         """Metals shall look as in the photos from now on, which are sharper than the field.
@@ -312,6 +358,7 @@ class _Problem:
             environment=state.light.reshape(self.height, -1, 3),
             lighting=self.mean.lighting,
             white=self.mean.white,
+            ground=self.ground,
         )
 
 

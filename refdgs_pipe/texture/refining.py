@@ -26,7 +26,7 @@ from refdgs_pipe.artifacts.photos import Photo
 from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
 from refdgs_pipe.color import linear_from_srgb, srgb_from_linear, srgb_slope
 from refdgs_pipe.ray_casting import Hits, at_hits
-from refdgs_pipe.relight import Relit, offsets, rays_of
+from refdgs_pipe.relight import Relit, in_its_light, offsets, rays_of
 from refdgs_pipe.texture.texels import cuts, rasterize
 
 F32 = NDArray[np.float32]
@@ -153,9 +153,7 @@ def refined(
         near: rays of one pixel whose depths differ by more meet two parts, world units.
         count: of the photos.
     """
-    assert looks.environment is not None
-    relit = Relit(textured, looks.environment, lighting=looks.lighting, white=looks.white)
-    refiner = Refiner(textured, relit, near=near, photos=count)
+    refiner = Refiner(textured, in_its_light(textured, looks), near=near, photos=count)
     for photo in photos:
         refiner.add(photo)
     return refiner.refined()

@@ -1,16 +1,20 @@
 """Pixels of many views, put on the mesh: what each shows, and what its mirrored ray meets."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from refdgs_pipe.artifacts.lighting import Lighting
 from refdgs_pipe.artifacts.mesh import TriangleMesh
+from refdgs_pipe.artifacts.photos import Photo
 from refdgs_pipe.artifacts.surface_map import SurfaceMap
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.color import linear_from_srgb
 from refdgs_pipe.errors import MeshError
+from refdgs_pipe.ground_light import GroundLight
 from refdgs_pipe.irradiance import links_of, spread
 from refdgs_pipe.ray_casting import Solid, at_hits
 
@@ -41,6 +45,8 @@ class Samples:
         glint: (N, 4) of a lamp on the camera: cosines between normal and half vector, normal and
             lamp, lamp and half vector, and the squared inverse distance; None without one. Then
             `specular` is without the lamp's highlight and `photo` is the field's, with it.
+        ground: (N, K, 4) `GroundLight.levels` of the mirrored rays, 0 for those that meet the mesh;
+            None where the ground's light is not known.
     """
 
     face: Ints
@@ -55,6 +61,7 @@ class Samples:
     roughness: F32
     footprint: F32
     glint: F32 | None = None
+    ground: F32 | None = None
 
     @property
     def radiance(self) -> F32:
@@ -81,10 +88,19 @@ class Sampler:
     Args:
         tolerance: how far mesh and map may lie apart, world units.
         per_view: the most pixels of a view.
+        ground: the light below the object, if it is known.
     """
 
-    def __init__(self, mesh: TriangleMesh, *, tolerance: float, per_view: int) -> None:
+    def __init__(
+        self,
+        mesh: TriangleMesh,
+        *,
+        tolerance: float,
+        per_view: int,
+        ground: GroundLight | None = None,
+    ) -> None:
         self.mesh, self.tolerance, self.per_view = mesh, tolerance, per_view
+        self.ground = ground
         self._normals = mesh.vertex_normals()
         self._bent = _squared_curvature(mesh, self._normals)
         self._solid = Solid(mesh.vertices, mesh.faces)
@@ -94,6 +110,27 @@ class Sampler:
         """At most 1: the size of a view that has enough pixels to take."""
         longest = max(256, int(3 * float(np.sqrt(self.per_view))))
         return min(1.0, longest / max(camera.width, camera.height))
+
+    def look(
+        self,
+        drawn: Callable[..., SurfaceMap],
+        photo: Photo,
+        camera: Camera,
+        lighting: Lighting,
+    ) -> int:
+        """Take what a photo and the field show from one camera; gives how many pixels were taken.
+
+        Args:
+            drawn: the field from a camera; `lamp=True` with the highlights of a lamp.
+            photo: of the camera, at the size to be looked at.
+            lighting: how the light moves.
+        """
+        turn, lamp = lighting.light_from_world(camera.center), None
+        if (place := lighting.lamp_of(camera)) is not None:
+            lamp = Shone(place, linear_from_srgb(drawn(photo.camera, lamp=True).color))
+        focal = float(camera.K[0, 0])
+        view = drawn(photo.camera)
+        return self.add(view, photo=photo.alone(), focal=focal, turn=turn, lamp=lamp)
 
     def add(
         self,
@@ -131,30 +168,38 @@ class Sampler:
         mesh, rows, face, weights = self.mesh, rows[good], hits.face[good], hits.weights[good]
         mirrored = 2 * cosine[good, None] * normal[good] - toward[good]
         pixel = hits.distance[good] / np.float32(focal or camera.K[0, 0])
-        bent = at_hits(self._bent, mesh.faces, face, weights)[:, 0]
+        bent = at_hits(self._bent, mesh.faces, face, weights)[:, 0] * pixel**2 / 6
         diffuse, specular = (of.reshape(-1, 3)[rows] for of in (view.diffuse, view.specular))
         seen = _shown(diffuse + specular, rows, photo, lamp)
         points = at_hits(mesh.vertices, mesh.faces, face, weights)
         glint = None if lamp is None else _glint(lamp.place - points, normal[good], toward[good])
         near_face, near_weights = self._mirror(face, weights, mirrored.astype(np.float32))
-        mirrored = mirrored if turn is None else mirrored @ turn.T
         self._parts.append(
             Samples(
                 face,
                 weights,
                 cosine[good].astype(np.float32),
-                mirrored.astype(np.float32),
+                (mirrored if turn is None else mirrored @ turn.T).astype(np.float32),
                 near_face,
                 near_weights,
                 diffuse,
                 specular,
                 np.clip(seen, 0, 1).astype(np.float32),
                 view.roughness.reshape(-1)[rows],
-                (2 * bent * pixel**2 / 12).astype(np.float32),
+                bent.astype(np.float32),
                 glint,
+                self._below(points, mirrored, near_face),
             )
         )
         return len(rows)
+
+    def _below(self, points: F32, mirrored: F32, near_face: Ints) -> F32 | None:
+        """`Samples.ground` of places (N, 3) and mirrored rays (N, 3) in the world."""
+        if self.ground is None:
+            return None
+        met = self.ground.levels(points, mirrored)
+        met[near_face >= 0] = 0
+        return met
 
     def _mirror(self, face: Ints, weights: F32, mirrored: F32) -> tuple[Ints, F32]:
         """What the mirrored rays meet: faces, -1 for none, and weights of their corners."""
@@ -198,7 +243,7 @@ def _shown(field: F32, rows: Ints, photo: F32 | None, lamp: Shone | None) -> F32
     if photo is None:
         return field
     there = linear_from_srgb(photo.reshape(-1, 3)[rows])
-    there *= _exposure(there, field)
+    there *= exposure(there, field)
     return np.where(np.isfinite(there), there, field)
 
 
@@ -216,7 +261,7 @@ def _glint(towards: F32, normal: F32, toward: F32) -> F32:
     return np.column_stack([*cosines, 1 / square[:, 0]]).astype(np.float32)
 
 
-def _exposure(photo: F32, field: F32) -> np.float32:
+def exposure(photo: F32, field: F32) -> np.float32:
     """The factor that makes a photo as bright as the field, which knows one exposure alone.
 
     Args:

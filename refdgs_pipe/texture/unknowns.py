@@ -39,6 +39,7 @@ class State:
         light: (H * 2H, 3); received: (V, 3) what a white matte surface would show.
         roughness, metallic: (V,); tint: (V, 3); gain: (V, 1), of the diffuse radiance.
         told_metallic, told_roughness: (V,) what was told, to be kept near; None before.
+        known: (H * 2H,) where the light is not asked for; None: nowhere.
     """
 
     light: F32
@@ -49,6 +50,7 @@ class State:
     received: F32
     told_metallic: F32 | None = None
     told_roughness: F32 | None = None
+    known: NDArray[np.bool_] | None = None
 
 
 class Unknown:
@@ -59,6 +61,7 @@ class Unknown:
             return torch.from_numpy(np.array(values, np.float32)).requires_grad_()
 
         self.light = leaf(np.log(state.light))
+        self.known, self._fixed = state.known, self.light.detach().clone()
         self.rough = leaf(_logit((state.roughness - SMOOTHEST) / (1 - SMOOTHEST), 0.005)[:, None])
         self.metal = leaf(_logit(state.metallic)[:, None])
         self.tint = leaf(_logit(state.tint))
@@ -69,6 +72,12 @@ class Unknown:
     def groups(self, rate: float) -> list[dict[str, Any]]:
         fast, slow = [self.rough, self.metal], [self.light, self.tint, self.gain]
         return [{"params": fast, "lr": rate}, {"params": slow, "lr": 0.6 * rate}]
+
+    def logs(self) -> Tensor:
+        """(H * 2H, 3) logarithm of the light."""
+        if self.known is None:
+            return self.light
+        return torch.where(torch.from_numpy(self.known)[:, None], self._fixed, self.light)
 
     def materials(self) -> Tensor:
         """(V, 9): roughness, metallic, gain, tint 3, received 3."""
@@ -88,7 +97,7 @@ class Unknown:
             (self.gain, 1e-3),
         ):
             total = total + weight * (values[links[:, 0]] - values[links[:, 1]]).abs().mean()
-        sky = self.light.reshape(height, 2 * height, 3)
+        sky = self.logs().reshape(height, 2 * height, 3)
         total = total + 2e-4 * (
             (sky - sky.roll(1, 1)).abs().mean() + (sky[1:] - sky[:-1]).abs().mean()
         )
@@ -104,7 +113,7 @@ class Unknown:
             found = self.materials()
             rough, metal, gain = (found[:, i].numpy() for i in range(3))
             return State(
-                self.light.exp().numpy(),
+                self.logs().exp().numpy(),
                 rough,
                 metal,
                 found[:, 3:6].numpy(),
@@ -112,6 +121,7 @@ class Unknown:
                 self.received.numpy(),
                 self.told_metallic,
                 self.told_roughness,
+                self.known,
             )
 
 
@@ -129,6 +139,7 @@ class Batch:
     target: Tensor
     glint: Tensor | None = None
     shade: Tensor | None = None
+    below: Tensor | None = None
 
     @classmethod
     def of(
@@ -162,6 +173,7 @@ class Batch:
             tensor(samples.footprint[rows, None]),
             _encoded(tensor((samples.radiance if samples.glint is None else samples.photo)[rows])),
             *_under(flash, None if samples.glint is None else tensor(samples.glint[rows])),
+            None if samples.ground is None else tensor(samples.ground[rows]),
         )
 
     def showing(self, radiance: F32) -> "Batch":
@@ -173,11 +185,15 @@ class Batch:
         there = _Apply.apply(unknown.materials(), self.corners)  # type: ignore[no-untyped-call]
         rough, metal, gain = there[:, 0:1], there[:, 1:2], there[:, 2:3]
         tint, received = there[:, 3:6], there[:, 6:9]
-        levels = _Blurred.apply(unknown.light.exp(), blurring)  # type: ignore[no-untyped-call]
+        levels = _Blurred.apply(unknown.logs().exp(), blurring)  # type: ignore[no-untyped-call]
         far = torch.zeros_like(tint)
         seen = seen_roughness(rough, self.footprint)
-        for weight, look, level in zip(level_weights(seen), self.looks, levels, strict=True):
+        weights = level_weights(seen)
+        for weight, look, level in zip(weights, self.looks, levels, strict=True):
             far = far + weight * _Apply.apply(level, look)  # type: ignore[no-untyped-call]
+        if self.below is not None:
+            met = (torch.cat(weights, 1)[..., None] * self.below).sum(1)
+            far = met[:, :3] + (1 - met[:, 3:]) * far
         painted = (self.diffuse * gain / received).clamp(max=1)
         base = painted * (1 - metal) + tint * metal
         scale, offset = reflection_line(rough, self.cosine)

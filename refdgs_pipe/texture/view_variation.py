@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from refdgs_pipe.ground_light import at_roughness
 from refdgs_pipe.irradiance import spread
-from refdgs_pipe.light import DIELECTRIC, Environment, reflected_share
+from refdgs_pipe.light import DIELECTRIC, Environment, reflected_share, reflection_line
 from refdgs_pipe.texture.sampling import Samples, seen_roughness
 
 F32 = NDArray[np.float32]
@@ -21,6 +22,15 @@ Ints = NDArray[np.int64]
 
 _FAINT = 0.06  # light that varies less than this, linear, tells little about what mirrors it
 _SMOOTHING = 4  # rounds, for metal
+_TYPICAL, _TYPICAL_LEVEL = 0.25, 1  # roughness at which the ground is compared; of ROUGHNESSES
+_LOST = 1.3  # times that: what is mirrored is not quite where it is looked for
+_MOSTLY = 0.5  # share of the ground in what a sample mirrors
+_UNLIT = 0.01  # linear: ground darker than this does not tell a metal's colour
+_RATHER = 0.5  # how far that counts alone where nothing else is mirrored
+_PLAIN = 0.004  # the ground that varies less, linear, tells nothing
+_ENOUGH = 0.5  # samples that mirror the ground, at a vertex
+_UNSURE = 1.5  # times what is seen of light from far away, whose brightness is not known
+_EVENING, _OTHER, _DIMMEST = 12, 0.25, 0.02  # rounds; log colour of another material; linear
 _WIDELY = 16  # rounds, for roughness: places that mirror little contrast ask those that mirror more
 _UNTOLD = 0.05  # a deviation this much smaller, in logarithms, counts as that of the sharpest
 _TELLING = 0.04  # so large a difference, in logarithms, tells as much as what is assumed
@@ -50,19 +60,70 @@ class ViewVariation:
         """(V,) the reflectance with which a vertex's reflections vary as they are seen to do.
 
         Compared as photos show them, clipped at white: what is brighter varies without limit in the
-        light that was found, but not in what was seen.
+        light that was found, but not in what was seen. Where the ground is mirrored, whose light is
+        known, it also counts how far both vary alike. Nothing reflects a larger share of the light
+        than the share of it that is seen.
 
         Args:
             roughness: (V,) as far as it is known.
         """
         mirrored = self._mirrored(light, np.asarray(self.corners @ roughness, np.float32))
-        around = self._around(np.ones(len(mirrored), np.bool_), _SMOOTHING)
+        everything = np.ones(len(mirrored), np.bool_)
+        around = self._around(everything, _SMOOTHING)
         seen = np.maximum(around.deviation(np.clip(self.samples.specular, 0, 1)), 1e-5)
         excess = np.empty((len(_REFLECTANCES), len(seen)), np.float32)
         for i, value in enumerate(_REFLECTANCES):
             shown = around.deviation(np.clip(np.float32(value) * mirrored, 0, 1))
             excess[i] = np.log(seen / np.hypot(shown, np.float32(value * _FAINT)))
-        return _crossing(np.asarray(_REFLECTANCES, np.float32), excess)
+        found = _crossing(np.asarray(_REFLECTANCES, np.float32), excess)
+        if self.samples.ground is None:
+            return found
+        below = self.samples.ground[:, _TYPICAL_LEVEL, 3]
+        alike = _LOST * self._like_ground(light, below > _MOSTLY)
+        photo, light_met = (np.clip(v, 0, 1) for v in (self.samples.photo, mirrored))
+        sent, met = (around.mean(v) for v in (photo, light_met))
+        most = (sent / np.maximum(met, 1e-4)).max(1)
+        known = around.mean(below[:, None])[:, 0]
+        most *= _UNSURE + (1 - _UNSURE) * known
+        found = alike + (1 - _RATHER * known**2) * np.maximum(found - alike, 0)
+        found = np.minimum(found, most)
+        return _evened(np.asarray(found, np.float32), sent, self.links)
+
+    def tint(self, light: Environment, roughness: F32) -> tuple[F32, F32]:
+        """(V, 3) the share of the ground's light that metals reflect; (V, 1) how far it is told.
+
+        Args:
+            roughness: (V,) as far as it is known.
+        """
+        assert self.samples.ground is not None
+        met = self.samples.ground[:, _TYPICAL_LEVEL, 3] > _MOSTLY
+        around = self._around(met & (self.samples.near_face < 0), _WIDELY)
+        mirrored = self._mirrored(light, np.asarray(self.corners @ roughness, np.float32))
+        rough = np.asarray(self.corners @ roughness, np.float32)[:, None]
+        scale, offset = reflection_line(rough, np.clip(self.samples.cosine, 0.02, 1)[:, None])
+        beyond = np.asarray(self.samples.photo - offset * mirrored, np.float32)
+        sent, had = (around.mean(v) for v in (beyond, np.asarray(scale * mirrored, np.float32)))
+        told = np.clip(around.count() / _ENOUGH, 0, 1) * (had.mean(1) > _UNLIT)
+        found = np.clip(sent / np.maximum(had, 1e-4), 0.02, 0.98)
+        return np.asarray(found, np.float32), np.asarray(told, np.float32)[:, None]
+
+    def _like_ground(self, light: Environment, met: NDArray[np.bool_]) -> F32:
+        """(V,) the reflectance with which a vertex mirrors the ground; 0 where it does not.
+
+        The geometric mean of two estimates: least squares takes noise in the light for a lower
+        reflectance, and the ratio of the deviations takes noise in what is seen for a higher one.
+
+        Args:
+            met: (N,) the samples that mirror it.
+        """
+        rough = np.full(len(met), _TYPICAL, np.float32)
+        mirrored = np.clip(self._mirrored(light, rough), 0, 1)
+        around = self._around(met & (self.samples.near_face < 0), _SMOOTHING)
+        both, had, seen = around.together(mirrored, np.clip(self.samples.specular, 0, 1))
+        told = around.count() >= _ENOUGH
+        alike = np.sqrt(np.maximum(both, 0) / np.maximum(had, 1e-8))
+        ratio = np.sqrt(np.sqrt(seen / np.maximum(had, 1e-8)))
+        return np.where(told & (had > _PLAIN**2), alike * ratio, 0).astype(np.float32)
 
     def roughness(self, light: Environment, metallic: F32, tint: F32) -> F32:
         """(V,) the roughness with which a vertex's reflections vary as they are seen to do.
@@ -105,7 +166,11 @@ class ViewVariation:
         return np.asarray(field * (photo / field) ** trust, np.float32)
 
     def _mirrored(self, light: Environment, rough: F32) -> F32:
-        far = light.mirrored(self.samples.mirrored, seen_roughness(rough, self.samples.footprint))
+        seen = seen_roughness(rough, self.samples.footprint)
+        far = light.mirrored(self.samples.mirrored, seen)
+        if self.samples.ground is not None:
+            below = at_roughness(self.samples.ground, seen)
+            far = below[:, :3] + (1 - below[:, 3:]) * far
         return np.where(self.samples.near_face[:, None] < 0, far, self.near)
 
     def _around(self, counted: NDArray[np.bool_], rounds: int) -> "_Around":
@@ -138,6 +203,27 @@ class _Around:
         both = self._widely(np.concatenate([variance.mean(1, keepdims=True), weight], 1))
         return np.asarray(np.sqrt(both[:, 0] / np.maximum(both[:, 1], 1e-6)), np.float32)
 
+    def mean(self, values: F32) -> F32:
+        """(V, C) of values (N, C) over the samples of a vertex and of its neighbours."""
+        total = np.concatenate([self._summed(values), self._summed(_ONE)], 1)
+        wide = self._widely(total)
+        return np.asarray(wide[:, :-1] / np.maximum(wide[:, -1:], 1e-6), np.float32)
+
+    def together(self, one: F32, other: F32) -> tuple[F32, F32, F32]:
+        """(V,) covariance and the two variances of values (N, C) over the samples at one vertex.
+
+        Averaged over the neighbours, as `deviation` is.
+        """
+        weight, a, b = (self._summed(v) for v in (_ONE, one, other))
+        products = [(one * other, a * b), (one * one, a * a), (other * other, b * b)]
+        sums = [
+            (self._summed(product) - mean / np.maximum(weight, 1e-6)).mean(1, keepdims=True)
+            for product, mean in products
+        ]
+        wide = self._widely(np.concatenate([*sums, weight], 1)).T
+        both, first, second = wide[:3] / np.maximum(wide[3], 1e-6)
+        return both, np.maximum(first, 0), np.maximum(second, 0)
+
     def _summed(self, values: F32) -> F32:
         return np.asarray(self.corners.T @ (self.counted * values), np.float32)
 
@@ -146,6 +232,27 @@ class _Around:
         for _ in range(self.rounds):
             values = spread(values, self.links)
         return values
+
+
+def _evened(values: F32, colors: F32, links: Ints) -> F32:
+    """(V,) values, averaged with neighbours that look alike: a material does not change by itself.
+
+    Args:
+        colors: (V, 3) linear, what is seen of each vertex in the mean; links: (E, 2).
+    """
+    from scipy.sparse import coo_array
+
+    a, b = links.T
+    logs = np.log(np.maximum(colors, 0) + _DIMMEST)
+    apart = np.abs(logs[a] - logs[b]).max(1)
+    weight = np.exp(-((apart / _OTHER) ** 2)) + 1e-6
+    own = np.arange(len(values))
+    ends = (np.r_[a, b, own], np.r_[b, a, own])
+    beside = coo_array((np.r_[weight, weight, np.ones(len(own))], ends)).tocsr()
+    total = np.asarray(beside.sum(1)).reshape(-1)
+    for _ in range(_EVENING):
+        values = np.asarray(beside @ values / total, np.float32)
+    return values
 
 
 def smooth_step(values: F32, low: float, high: float) -> F32:

@@ -124,3 +124,58 @@ def test_what_mirrors_no_light_from_afar_is_told_by_its_neighbours_or_taken_for_
 def test_what_bends_within_a_pixel_looks_rougher() -> None:
     assert seen_roughness(np.float32(0.3), np.float32(0.0)) == pytest.approx(0.3)
     assert seen_roughness(np.float32(0.1), np.float32(0.0256)) == pytest.approx(0.4, abs=1e-3)
+
+
+def over_brown_ground(f0: float, paint: float) -> ViewVariation:
+    """As `variation`, but all that is mirrored is a ground of little contrast, which is known."""
+    plain = variation(0.2, f0)
+    random = np.random.default_rng(3)
+    count = len(plain.near)
+    light = 0.1 + 0.03 * random.normal(size=(count, 1)) * np.array([1.0, 0.7, 0.5])
+    light = np.clip(light, 0, 1).astype(np.float32)
+    levels = np.repeat(np.concatenate([light, np.ones((count, 1))], 1)[:, None], 5, axis=1)
+    rough = np.full((count, 1), 0.2, np.float32)
+    share = reflected_share(
+        np.full((count, 3), f0, np.float32), rough, plain.samples.cosine[:, None]
+    )
+    specular = (light * share).astype(np.float32)
+    diffuse = np.full((count, 3), paint, np.float32)
+    samples = replace(
+        plain.samples,
+        ground=levels.astype(np.float32),
+        specular=specular,
+        diffuse=diffuse,
+        photo=np.clip(diffuse + specular, 0, 1),
+    )
+    return replace(plain, samples=samples)
+
+
+def test_a_metal_is_told_by_a_ground_that_varies_little() -> None:
+    rough = np.full(len(BALL.vertices), 0.2, np.float32)
+    told = over_brown_ground(0.65, 0.0).reflectance(Environment(windows()), rough)
+    assert np.median(told) > 0.5
+
+
+def test_paint_of_the_same_brightness_is_no_metal() -> None:
+    rough = np.full(len(BALL.vertices), 0.2, np.float32)
+    told = over_brown_ground(0.04, 0.065).reflectance(Environment(windows()), rough)
+    assert np.median(told) < 0.12
+
+
+def test_nothing_reflects_more_than_is_seen() -> None:
+    """Black plastic whose reflections vary for other reasons, say a wrong shape."""
+    black = over_brown_ground(0.04, 0.0)
+    random = np.random.default_rng(4)
+    noise = np.abs(0.02 * random.normal(size=black.samples.specular.shape)).astype(np.float32)
+    samples = replace(black.samples, specular=black.samples.specular + noise)
+    rough = np.full(len(BALL.vertices), 0.2, np.float32)
+    told = replace(black, samples=samples).reflectance(Environment(windows()), rough)
+    assert np.median(told) < 0.15
+
+
+def test_the_colour_of_a_metal_is_told_by_the_ground_that_it_mirrors() -> None:
+    rough = np.full(len(BALL.vertices), 0.2, np.float32)
+    metal = over_brown_ground(0.65, 0.0)
+    tint, told = metal.tint(Environment(windows()), rough)
+    assert told.min() > 0.9
+    assert np.abs(np.median(tint, axis=0) - 0.65).max() < 0.05
