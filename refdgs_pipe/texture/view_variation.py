@@ -30,7 +30,8 @@ _RATHER = 0.5  # how far that counts alone where nothing else is mirrored
 _PLAIN = 0.004  # the ground that varies less, linear, tells nothing
 _ENOUGH = 0.5  # samples that mirror the ground, at a vertex
 _UNSURE = 1.5  # times what is seen of light from far away, whose brightness is not known
-_EVENING, _OTHER, _DIMMEST = 12, 0.25, 0.02  # rounds; log colour of another material; linear
+_LITTLE, _LEAST_EVIDENCE = 0.03, 0.01  # light that varies so much, linear, tells half
+_EVENING, _OTHER, _DIMMEST = 30, 0.25, 0.02  # rounds; log colour of another material; linear
 _WIDELY = 16  # rounds, for roughness: places that mirror little contrast ask those that mirror more
 _UNTOLD = 0.05  # a deviation this much smaller, in logarithms, counts as that of the sharpest
 _TELLING = 0.04  # so large a difference, in logarithms, tells as much as what is assumed
@@ -86,8 +87,10 @@ class ViewVariation:
         known = around.mean(below[:, None])[:, 0]
         most *= _UNSURE + (1 - _UNSURE) * known
         found = alike + (1 - _RATHER * known**2) * np.maximum(found - alike, 0)
-        found = np.minimum(found, most)
-        return _evened(np.asarray(found, np.float32), sent, self.links)
+        varied = around.deviation(np.clip(mirrored, 0, 1)) ** 2
+        evidence = varied / (varied + _LITTLE**2) + _LEAST_EVIDENCE
+        found = _evened(np.minimum(found, most), evidence, sent, self.links)
+        return np.asarray(np.minimum(found, most), np.float32)
 
     def tint(self, light: Environment, roughness: F32) -> tuple[F32, F32]:
         """(V, 3) the share of the ground's light that metals reflect; (V, 1) how far it is told.
@@ -234,10 +237,11 @@ class _Around:
         return values
 
 
-def _evened(values: F32, colors: F32, links: Ints) -> F32:
-    """(V,) values, averaged with neighbours that look alike: a material does not change by itself.
+def _evened(values: F32, evidence: F32, colors: F32, links: Ints) -> F32:
+    """(V,) mean with neighbours that look alike: a material does not change by itself.
 
     Args:
+        evidence: (V,) how much each value counts.
         colors: (V, 3) linear, what is seen of each vertex in the mean; links: (E, 2).
     """
     from scipy.sparse import coo_array
@@ -249,10 +253,11 @@ def _evened(values: F32, colors: F32, links: Ints) -> F32:
     own = np.arange(len(values))
     ends = (np.r_[a, b, own], np.r_[b, a, own])
     beside = coo_array((np.r_[weight, weight, np.ones(len(own))], ends)).tocsr()
-    total = np.asarray(beside.sum(1)).reshape(-1)
+    both = np.stack([values * evidence, evidence], 1)
+    total = np.asarray(beside.sum(1)).reshape(-1, 1)
     for _ in range(_EVENING):
-        values = np.asarray(beside @ values / total, np.float32)
-    return values
+        both = np.asarray(beside @ both / total)
+    return np.asarray(both[:, 0] / both[:, 1], np.float32)
 
 
 def smooth_step(values: F32, low: float, high: float) -> F32:
