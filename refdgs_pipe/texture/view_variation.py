@@ -6,6 +6,7 @@ normal: a wrong one mirrors other light, but light that varies as much. Least sq
 every misplaced reflection for a rougher surface.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,6 +19,7 @@ from refdgs_pipe.light import DIELECTRIC, Environment, reflected_share, reflecti
 from refdgs_pipe.texture.sampling import Samples, seen_roughness
 
 F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 _FAINT = 0.06  # light that varies less than this, linear, tells little about what mirrors it
@@ -31,7 +33,10 @@ _PLAIN = 0.004  # the ground that varies less, linear, tells nothing
 _ENOUGH = 0.5  # samples that mirror the ground, at a vertex
 _UNSURE = 1.5  # times what is seen of light from far away, whose brightness is not known
 _LITTLE, _LEAST_EVIDENCE = 0.03, 0.01  # light that varies so much, linear, tells half
-_EVENING, _OTHER, _DIMMEST = 30, 0.25, 0.02  # rounds; log colour of another material; linear
+_EVEN = 0.12  # of a surface with as many vertices: how far values are evened
+_OTHER, _ACROSS = 0.25, 1e-4  # log colour of another material; how far its values count
+_DIMMEST = 0.02  # linear, added to colours before logarithms
+_EXACT, _MOST_STEPS = 1e-4, 400  # of the solution
 _WIDELY = 16  # rounds, for roughness: places that mirror little contrast ask those that mirror more
 _UNTOLD = 0.05  # a deviation this much smaller, in logarithms, counts as that of the sharpest
 _TELLING = 0.04  # so large a difference, in logarithms, tells as much as what is assumed
@@ -88,7 +93,7 @@ class ViewVariation:
         most *= _UNSURE + (1 - _UNSURE) * known
         found = alike + (1 - _RATHER * known**2) * np.maximum(found - alike, 0)
         varied = around.deviation(np.clip(mirrored, 0, 1)) ** 2
-        evidence = varied / (varied + _LITTLE**2) + _LEAST_EVIDENCE
+        evidence = varied / (varied + np.float32(_LITTLE**2)) + np.float32(_LEAST_EVIDENCE)
         found = _evened(np.minimum(found, most), evidence, sent, self.links)
         return np.asarray(np.minimum(found, most), np.float32)
 
@@ -238,26 +243,54 @@ class _Around:
 
 
 def _evened(values: F32, evidence: F32, colors: F32, links: Ints) -> F32:
-    """(V,) mean with neighbours that look alike: a material does not change by itself.
+    """(V,) near the values, and even between neighbours that look alike.
+
+    A material does not change by itself. Least squares: evidence (k - value)^2 at each vertex, and
+    for each edge (k - k')^2, times a weight that is small where the colour changes.
 
     Args:
         evidence: (V,) how much each value counts.
         colors: (V, 3) linear, what is seen of each vertex in the mean; links: (E, 2).
     """
-    from scipy.sparse import coo_array
-
     a, b = links.T
+    count = len(values)
     logs = np.log(np.maximum(colors, 0) + _DIMMEST)
     apart = np.abs(logs[a] - logs[b]).max(1)
-    weight = np.exp(-((apart / _OTHER) ** 2)) + 1e-6
-    own = np.arange(len(values))
-    ends = (np.r_[a, b, own], np.r_[b, a, own])
-    beside = coo_array((np.r_[weight, weight, np.ones(len(own))], ends)).tocsr()
-    both = np.stack([values * evidence, evidence], 1)
-    total = np.asarray(beside.sum(1)).reshape(-1, 1)
-    for _ in range(_EVENING):
-        both = np.asarray(beside @ both / total)
-    return np.asarray(both[:, 0] / both[:, 1], np.float32)
+    weight = (_EVEN**2 * count) * (np.exp(-((apart / _OTHER) ** 2)) + _ACROSS)
+    own = evidence.astype(np.float64)
+    diagonal = own + np.bincount(a, weight, count) + np.bincount(b, weight, count)
+
+    def applied(k: F64) -> F64:
+        return np.asarray(
+            diagonal * k
+            - np.bincount(a, weight * k[b], count)
+            - np.bincount(b, weight * k[a], count)
+        )
+
+    return _solved(applied, diagonal, own * values, values.astype(np.float64)).astype(np.float32)
+
+
+def _solved(applied: Callable[[F64], F64], diagonal: F64, wanted: F64, start: F64) -> F64:
+    """(V,) the solution of a positive definite system, by conjugate gradients.
+
+    Written out, because the library's dot products depend on the number of threads.
+    """
+    found = start.copy()
+    rest = wanted - applied(found)
+    step = rest / diagonal
+    along, before = step.copy(), float((rest * step).sum())
+    enough = _EXACT**2 * max(before, 1e-30)
+    for _ in range(_MOST_STEPS):
+        if before <= enough:
+            break
+        turned = applied(along)
+        far = before / float((along * turned).sum())
+        found += far * along
+        rest -= far * turned
+        step = rest / diagonal
+        now = float((rest * step).sum())
+        along, before = step + now / before * along, now
+    return found
 
 
 def smooth_step(values: F32, low: float, high: float) -> F32:
