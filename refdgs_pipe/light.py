@@ -22,6 +22,7 @@ ROUGHNESSES = (SMOOTHEST, 0.2, 0.35, 0.6, 1.0)
 _SHARP = 64  # rows from which pictures are halved before they are blurred
 _SHARE = 1e-3  # of a lobe's peak: less is left out
 _CHUNK = 512
+_NODES, _SPREAD = 33, 64  # of the table of mirrored shares, and of its quadrature, along an edge
 
 
 def texel_directions(height: int) -> F64:
@@ -83,9 +84,7 @@ def cosine_lobe(cosine: F64, _: float = 1.0) -> F64:
 
 
 def reflected_share(f0: F32, roughness: F32, cosine: F32) -> F32:
-    """(N, C) share of the light that is mirrored: the split sum's second half.
-
-    Karis 2014, "Physically Based Shading on Mobile". Works for numpy arrays (N, C) and (N, 1).
+    """(N, C) share of the light that is mirrored: the split sum's second half (Karis 2013).
 
     Args:
         f0: reflectance straight on; roughness, cosine: (N, 1).
@@ -105,13 +104,78 @@ def passed_share(roughness: Any, cosine: Any) -> Any:
 
 
 def reflection_line(roughness: Any, cosine: Any) -> tuple[Any, Any]:
-    """Factor and offset that turn f0 into the mirrored share; numpy arrays or torch tensors."""
-    smooth = 1 - roughness
-    steep = 2.0 ** (-9.28 * cosine)
-    square = smooth**2
-    least = (square + steep - abs(square - steep)) / 2
-    a = least * smooth + (0.0425 - 0.0275 * roughness)
-    return -1.04 * a + (1.04 - 0.572 * roughness), 1.04 * a + (-0.04 + 0.022 * roughness)
+    """Factor and offset that turn f0 into the mirrored share of even light from all sides.
+
+    Karis 2013, the split sum's second half, from a table; GGX with the masking and shadowing of
+    Heitz 2014 for both directions together, Schlick's Fresnel term, one bounce. Numpy arrays or
+    torch tensors of equal or broadcastable shapes; a gradient flows through both.
+
+    Args:
+        roughness: in [0, 1]; cosine: in (0, 1], between the normal and the way to the eye.
+    """
+    table = _shares()
+    rough, across = _Between.of(roughness + 0 * cosine), _Between.of(cosine + 0 * roughness)
+    found = []
+    for values in table:
+        low, high = (
+            across.mixed(values[i, across.lower], values[i, across.lower + 1])
+            for i in (rough.lower, rough.lower + 1)
+        )
+        found.append(low + rough.part * (high - low))
+    return found[0], found[1]
+
+
+@dataclass(frozen=True)
+class _Between:
+    """Where numbers in [0, 1] lie in a table of _NODES: the node below, and how far above it."""
+
+    lower: Ints
+    part: Any
+
+    @classmethod
+    def of(cls, numbers: Any) -> "_Between":
+        plain = numbers.detach().numpy() if hasattr(numbers, "detach") else numbers
+        place = np.asarray(plain, np.float64) * (_NODES - 1)
+        lower = np.clip(np.floor(place), 0, _NODES - 2).astype(np.int64)
+        start = lower.astype(np.float32)
+        if hasattr(numbers, "detach"):
+            start = numbers.new_tensor(start)
+        return cls(lower, numbers * (_NODES - 1) - start)
+
+    def mixed(self, low: F32, high: F32) -> Any:
+        """Between two values of a table."""
+        if hasattr(self.part, "detach"):
+            low, high = self.part.new_tensor(low), self.part.new_tensor(high)
+        return low + self.part * (high - low)
+
+
+@lru_cache(maxsize=1)
+def _shares() -> F32:
+    """(2, _NODES, _NODES) factor and offset for roughness and cosine in [0, 1].
+
+    Half vectors are spread as GGX's density times their cosine has them; the rest is the mean of
+    4 V (n.l) (v.h) / (n.h), V as glTF 2.0 has it, and of that times (1 - v.h)^5.
+    """
+    found = np.empty((2, _NODES, _NODES), np.float32)
+    steps = np.linspace(0, 1, _NODES)
+    cosine = np.maximum(steps, 1e-3)[:, None, None]
+    part = (np.arange(_SPREAD) + 0.5) / _SPREAD
+    around = np.cos(np.pi * part)[None, None]
+    for row, roughness in enumerate(steps):
+        alpha2 = max(roughness, 0.01) ** 4
+        n_h = np.sqrt((1 - part) / (1 + (alpha2 - 1) * part))[None, :, None]
+        slope = np.sqrt((1 - n_h**2) * (1 - cosine**2))
+        v_h = n_h * cosine + slope * around
+        n_l = 2 * v_h * n_h - cosine
+        lit = (n_l > 0) & (v_h > 0)
+        n_l, v_h = np.where(lit, n_l, 1), np.where(lit, v_h, 0)
+        masked = n_l * np.sqrt(cosine**2 * (1 - alpha2) + alpha2)
+        masked = masked + cosine * np.sqrt(n_l**2 * (1 - alpha2) + alpha2)
+        share = np.where(lit, 2 * n_l * v_h / (masked * n_h), 0)
+        fresnel = (1 - v_h) ** 5
+        found[0, row] = (share * (1 - fresnel)).mean((1, 2))
+        found[1, row] = (share * fresnel).mean((1, 2))
+    return found
 
 
 @dataclass(frozen=True)

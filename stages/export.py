@@ -12,7 +12,7 @@ from refdgs_pipe.export.settings import ExportParams
 from refdgs_pipe.pipeline.stage import Job, stage
 
 
-@stage(version=4, programs=("usd-core", "pymeshlab"))
+@stage(version=5, programs=("usd-core", "pymeshlab"))
 def export(
     textured: TexturedMesh,
     looks: Appearance,

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import torch
 from solids import sphere
 
 from refdgs_pipe.irradiance import look_around
@@ -14,6 +15,7 @@ from refdgs_pipe.light import (
     looked_up,
     passed_share,
     reflected_share,
+    reflection_line,
     solid_angles,
     texel_directions,
 )
@@ -80,6 +82,54 @@ def test_what_is_mirrored_is_f0_straight_on_and_all_at_grazing() -> None:
     share = reflected_share(np.float32([[0.04], [0.04]]), smooth, np.float32([[1], [0.0]]))
     assert share[0, 0] == pytest.approx(0.04, abs=0.01)
     assert share[1, 0] > 0.9
+
+
+def test_the_roughest_mirror_seen_straight_on_is_known_in_closed_form() -> None:
+    """GGX with alpha 1: the integral of n.l / (n.l + 1) from 0 to 1."""
+    one = np.ones((1, 1), np.float32)
+    scale, offset = reflection_line(one, one)
+    assert float((scale + offset)[0, 0]) == pytest.approx(1 - np.log(2), abs=2e-3)
+
+
+@pytest.mark.parametrize("roughness", [0.2, 0.35, 0.6, 0.9])
+@pytest.mark.parametrize("cosine", [0.15, 0.5, 0.9])
+def test_the_mirrored_share_is_the_integral_over_directions(
+    roughness: float, cosine: float
+) -> None:
+    """By rays spread evenly over the half sphere of incoming light, unlike the table's."""
+    polar, turn = np.meshgrid(
+        (np.arange(2000) + 0.5) / 2000, (np.arange(500) + 0.5) / 500 * np.pi, indexing="ij"
+    )
+    light = np.sqrt(1 - polar**2)[..., None] * np.stack([np.cos(turn), np.sin(turn)], -1)
+    eye = np.array([np.sqrt(1 - cosine**2), 0, cosine])
+    half = np.concatenate([light, polar[..., None]], -1) + eye
+    half /= np.linalg.norm(half, axis=-1, keepdims=True)
+    alpha2, n_h, v_h = roughness**4, half[..., 2], half @ eye
+    density = alpha2 / (np.pi * (n_h**2 * (alpha2 - 1) + 1) ** 2)
+    masked = polar * np.sqrt(cosine**2 * (1 - alpha2) + alpha2)
+    masked += cosine * np.sqrt(polar**2 * (1 - alpha2) + alpha2)
+    share = density * 0.5 / masked * polar * 2 * np.pi
+    fresnel = (1 - v_h) ** 5
+    rough, across = (np.full((1, 1), v, np.float32) for v in (roughness, cosine))
+    scale, offset = reflection_line(rough, across)
+    assert float(scale[0, 0]) == pytest.approx((share * (1 - fresnel)).mean(), abs=0.01)
+    assert float(offset[0, 0]) == pytest.approx((share * fresnel).mean(), abs=0.01)
+
+
+def test_tensors_have_the_mirrored_share_of_arrays_and_its_slope() -> None:
+    rough = RANDOM.uniform(0.1, 0.95, (50, 1)).astype(np.float32)
+    across = RANDOM.uniform(0.05, 0.95, (50, 1)).astype(np.float32)
+    asked = torch.from_numpy(rough).requires_grad_()
+    found = reflection_line(asked, torch.from_numpy(across))
+    for tensor, array in zip(found, reflection_line(rough, across), strict=True):
+        np.testing.assert_allclose(tensor.detach().numpy(), array, atol=1e-6)
+    found[0].sum().backward()  # type: ignore[no-untyped-call]
+    step = np.float32(1e-3)
+    up, down = (reflection_line(rough + d, across)[0] for d in (step, -step))
+    assert asked.grad is not None
+    within = np.abs(rough * 32 % 1 - 0.5) < 0.4  # both in one cell of the table
+    slope = (up - down) / (2 * step)
+    np.testing.assert_allclose(asked.grad.numpy()[within], slope[within], atol=2e-3)
 
 
 def test_what_a_smooth_layer_mirrors_is_not_scattered() -> None:
