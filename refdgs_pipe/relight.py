@@ -38,6 +38,8 @@ _SUPERSAMPLING = 2
 _STEEP = 0.04  # sRGB: pixels whose rays differ by more get four times as many
 _BOUNCES = 3
 _REFLECTIONS = 1  # of mirrored rays after the first, on the object itself
+_BLUNT = 0.15  # roughness from which a lobe is more than a ray; wholly so at twice that
+_LOBE, _GOLDEN = 8, 0.618034  # rays of a lobe; turns from one to the next
 _LIFT = 0.0025  # of the object's diagonal: mirrored rays start this far above the surface
 _CHUNK = 1 << 18
 _ROOM_STEP = 10.0  # degrees between rooms for which the light on matte surfaces is gathered
@@ -216,7 +218,9 @@ class Relit:
         start = at(mesh.vertices) + self.lift * unit(plain)
         incoming = self._around(start, mirrored, rough)
         near = self.solid.first(start, mirrored)
-        incoming[near.rays] = self._seen(near, mirrored[near.rays], _REFLECTIONS)
+        sharp = np.array(incoming)
+        sharp[near.rays] = self._seen(near, mirrored[near.rays], _REFLECTIONS)
+        incoming = self._blunted(incoming, sharp, start, normal, toward, rough)
         cosine = np.clip(along, 0.02, 1)
         share = reflected_share(here.f0, here.roughness, cosine)
         passed = passed_share(here.roughness, cosine)
@@ -231,6 +235,41 @@ class Relit:
         """(N, 3) linear radiance towards the eye, (N, 3) unit."""
         seen = self.surface(hits, toward)
         return seen.here.scattered * seen.received + seen.mirrored
+
+    def _blunted(
+        self, far: F32, sharp: F32, points: F32, normal: F32, toward: F32, roughness: F32
+    ) -> F32:
+        """(N, 3) what is mirrored, where a lobe meets the object in part.
+
+        Some half vectors, spread as GGX's density times their cosine has them, say how much of the
+        lobe the object fills, and with what. The rest has the far light, which is blurred.
+
+        Args:
+            far, sharp: (N, 3) without the object, and with what one ray meets of it.
+        """
+        rows = np.flatnonzero(roughness > _BLUNT)
+        if not len(rows):
+            return sharp
+        found = np.array(sharp)
+        n, v, start = normal[rows], toward[rows], points[rows]
+        side = unit(np.cross(n, np.where(np.abs(n[:, :1]) < 0.6, [[1.0, 0, 0]], [[0, 1.0, 0]])))
+        other = np.cross(n, side)
+        alpha2 = roughness[rows].astype(np.float64) ** 4
+        met, share = np.zeros((len(rows), 3)), np.zeros(len(rows))
+        for i in range(_LOBE):
+            part = (i + 0.5) / _LOBE
+            cosine = np.sqrt((1 - part) / (1 + (alpha2 - 1) * part))[:, None]
+            turn = 2 * np.pi * ((_GOLDEN * (i + _LOBE * rows)) % 1)[:, None]
+            flat = np.sqrt(1 - cosine**2)
+            half = flat * (np.cos(turn) * side + np.sin(turn) * other) + cosine * n
+            way = 2 * (v * half).sum(1, keepdims=True) * half - v
+            hits = self.solid.first(start, unit(np.asarray(way, np.float32)))
+            met[hits.rays] += self._seen(hits, way[hits.rays], 0)
+            share[hits.rays] += 1
+        lobe = met / _LOBE + (1 - share / _LOBE)[:, None] * far[rows]
+        most = np.clip((roughness[rows] - _BLUNT) / _BLUNT, 0, 1)[:, None]
+        found[rows] = sharp[rows] + most * (lobe - sharp[rows])
+        return found
 
     def _around(self, points: F32, directions: F32, roughness: F32) -> F32:
         """(N, 3) light that mirrored rays (N, 3) from points (N, 3) meet beside the object."""
