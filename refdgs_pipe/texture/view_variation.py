@@ -39,6 +39,7 @@ _DIMMEST = 0.02  # linear, added to colours before logarithms
 _EXACT, _MOST_STEPS = 1e-4, 400  # of the solution
 _WIDELY = 16  # rounds, for roughness: places that mirror little contrast ask those that mirror more
 _UNTOLD = 0.05  # a deviation this much smaller, in logarithms, counts as that of the sharpest
+_ASSUMED = 0.02  # how much glossy counts beside what like places tell
 _TELLING = 0.04  # so large a difference, in logarithms, tells as much as what is assumed
 _IS_NOISE, _IS_SEEN = 0.2, 0.5  # the field's deviation, as shares of the photos'
 _GRID = (0.1, 0.13, 0.16, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7, 1.0)
@@ -162,7 +163,13 @@ class ViewVariation:
         excess -= _UNTOLD * np.clip(2 - excess[0] / _UNTOLD, 0, 1)
         found = _crossing(np.asarray(_GRID, np.float32), excess)
         trust = evidence / (evidence + _TELLING**2)
-        return np.asarray(_GRID[_GLOSSY] + trust * (found - _GRID[_GLOSSY]), np.float32)
+        if self.samples.ground is None:
+            return np.asarray(_GRID[_GLOSSY] + trust * (found - _GRID[_GLOSSY]), np.float32)
+        wide = self._around(np.ones(len(rough), np.bool_), _SMOOTHING)
+        weight = trust + _ASSUMED
+        value = (trust * found + _ASSUMED * _GRID[_GLOSSY]) / weight
+        sent = wide.mean(np.clip(self.samples.photo, 0, 1))
+        return _evened(value, weight, sent, self.links)
 
     def _seen(self, around: "_Around", metallic: F32) -> F32:
         """(V,) how much what is mirrored varies, as the field and the photos show it."""
