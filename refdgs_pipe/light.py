@@ -84,7 +84,7 @@ def cosine_lobe(cosine: F64, _: float = 1.0) -> F64:
 
 
 def reflected_share(f0: F32, roughness: F32, cosine: F32) -> F32:
-    """(N, C) share of the light that is mirrored: the split sum's second half (Karis 2013).
+    """(N, C) share of the light that is mirrored, as `reflection_line` has it; numpy arrays.
 
     Args:
         f0: reflectance straight on; roughness, cosine: (N, 1).
@@ -113,48 +113,31 @@ def reflection_line(roughness: Any, cosine: Any) -> tuple[Any, Any]:
     Args:
         roughness: in [0, 1]; cosine: in (0, 1], between the normal and the way to the eye.
     """
-    table = _shares()
-    rough, across = _Between.of(roughness + 0 * cosine), _Between.of(cosine + 0 * roughness)
+    row, down = _place(roughness + 0 * cosine)
+    column, along = _place(cosine + 0 * roughness)
+    like = getattr(along, "new_tensor", np.asarray)
     found = []
-    for values in table:
-        low, high = (
-            across.mixed(values[i, across.lower], values[i, across.lower + 1])
-            for i in (rough.lower, rough.lower + 1)
-        )
-        found.append(low + rough.part * (high - low))
+    for table in _shares():
+        corners = [[like(table[row + i, column + j]) for j in (0, 1)] for i in (0, 1)]
+        low, high = (left + along * (right - left) for left, right in corners)
+        found.append(low + down * (high - low))
     return found[0], found[1]
 
 
-@dataclass(frozen=True)
-class _Between:
-    """Where numbers in [0, 1] lie in a table of _NODES: the node below, and how far above it."""
-
-    lower: Ints
-    part: Any
-
-    @classmethod
-    def of(cls, numbers: Any) -> "_Between":
-        plain = numbers.detach().numpy() if hasattr(numbers, "detach") else numbers
-        place = np.asarray(plain, np.float64) * (_NODES - 1)
-        lower = np.clip(np.floor(place), 0, _NODES - 2).astype(np.int64)
-        start = lower.astype(np.float32)
-        if hasattr(numbers, "detach"):
-            start = numbers.new_tensor(start)
-        return cls(lower, numbers * (_NODES - 1) - start)
-
-    def mixed(self, low: F32, high: F32) -> Any:
-        """Between two values of a table."""
-        if hasattr(self.part, "detach"):
-            low, high = self.part.new_tensor(low), self.part.new_tensor(high)
-        return low + self.part * (high - low)
+def _place(numbers: Any) -> tuple[Ints, Any]:
+    """The node below, in a table of _NODES over [0, 1], and how far above it, in cells."""
+    plain = np.asarray(numbers.detach() if hasattr(numbers, "detach") else numbers, np.float64)
+    node = np.clip(np.floor(plain * (_NODES - 1)), 0, _NODES - 2).astype(np.int64)
+    like = getattr(numbers, "new_tensor", np.asarray)
+    return node, numbers * (_NODES - 1) - like(node.astype(np.float32))
 
 
 @lru_cache(maxsize=1)
 def _shares() -> F32:
     """(2, _NODES, _NODES) factor and offset for roughness and cosine in [0, 1].
 
-    Half vectors are spread as GGX's density times their cosine has them; the rest is the mean of
-    4 V (n.l) (v.h) / (n.h), V as glTF 2.0 has it, and of that times (1 - v.h)^5.
+    Half vectors have the density D (n.h) of GGX. Factor and offset are the means of w (1 - F) and
+    of w F, with w = 4 V (n.l) (v.h) / (n.h), V as in glTF 2.0, F = (1 - v.h)^5.
     """
     found = np.empty((2, _NODES, _NODES), np.float32)
     steps = np.linspace(0, 1, _NODES)

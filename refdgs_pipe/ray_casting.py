@@ -85,12 +85,24 @@ def at_hits(values: F32, faces: NDArray[np.int32], face: Ints, weights: F32) -> 
 def cosine_rays(normals: F32, count: int, number: int) -> F32:
     """(N, 3) one of `count` directions about each normal, denser around it (Malley's method).
 
-    The directions of one normal are spread evenly (a Fibonacci spiral); each normal's spiral is
+    These are `half_vectors` of alpha 1.
+    """
+    return half_vectors(normals, 1.0, count, number)
+
+
+def half_vectors(normals: F32, alpha: F32 | float, count: int, number: int) -> F32:
+    """(N, 3) one of `count` unit half vectors about each normal, with the density D (n.h) of GGX.
+
+    The vectors of one normal are spread evenly (a Fibonacci spiral); each normal's spiral is
     turned by an angle of its own, so that neighbours do not err alike. Nothing is random.
+
+    Args:
+        alpha: of GGX, the square of the roughness: one, or (N, 1).
     """
     golden = 0.6180339887498949
     turn = (np.arange(len(normals)) * golden) % 1.0
-    radius = np.sqrt((number + 0.5) / count)
+    part = (number + 0.5) / count
+    radius = alpha * np.sqrt(part / (1 + (alpha**2 - 1) * part))
     angle = 2 * np.pi * ((number * golden) % 1.0 + turn)
     across, along = perpendicular(normals)
     height = np.sqrt(1 - radius**2)

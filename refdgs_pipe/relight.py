@@ -29,7 +29,7 @@ from refdgs_pipe.light import (
     passed_share,
     reflected_share,
 )
-from refdgs_pipe.ray_casting import Hits, Solid, at_hits
+from refdgs_pipe.ray_casting import Hits, Solid, at_hits, half_vectors
 from refdgs_pipe.vectors import unit
 
 F32 = NDArray[np.float32]
@@ -38,8 +38,8 @@ _SUPERSAMPLING = 2
 _STEEP = 0.04  # sRGB: pixels whose rays differ by more get four times as many
 _BOUNCES = 3
 _REFLECTIONS = 1  # of mirrored rays after the first, on the object itself
-_BLUNT = 0.15  # roughness from which a lobe is more than a ray; wholly so at twice that
-_LOBE, _GOLDEN = 8, 0.618034  # rays of a lobe; turns from one to the next
+_BLUNT = 0.15  # roughness from which a place mirrors more than one ray; at twice that, only a lobe
+_LOBE = 8  # rays of a lobe
 _LIFT = 0.0025  # of the object's diagonal: mirrored rays start this far above the surface
 _CHUNK = 1 << 18
 _ROOM_STEP = 10.0  # degrees between rooms for which the light on matte surfaces is gathered
@@ -239,36 +239,32 @@ class Relit:
     def _blunted(
         self, far: F32, sharp: F32, points: F32, normal: F32, toward: F32, roughness: F32
     ) -> F32:
-        """(N, 3) what is mirrored, where a lobe meets the object in part.
+        """(N, 3) what rough places mirror: some rays of their lobe, and not one alone.
 
-        Some half vectors, spread as GGX's density times their cosine has them, say how much of the
-        lobe the object fills, and with what. The rest has the far light, which is blurred.
+        The rays that meet the object count with what they meet, the others with the far light,
+        which is blurred already. Rays into the surface do not count.
 
         Args:
             far, sharp: (N, 3) without the object, and with what one ray meets of it.
+            points: (N, 3) where rays start; normal, toward: (N, 3) unit, `toward` to the eye.
+            roughness: (N,).
         """
         rows = np.flatnonzero(roughness > _BLUNT)
-        if not len(rows):
-            return sharp
-        found = np.array(sharp)
-        n, v, start = normal[rows], toward[rows], points[rows]
-        side = unit(np.cross(n, np.where(np.abs(n[:, :1]) < 0.6, [[1.0, 0, 0]], [[0, 1.0, 0]])))
-        other = np.cross(n, side)
-        alpha2 = roughness[rows].astype(np.float64) ** 4
-        met, share = np.zeros((len(rows), 3)), np.zeros(len(rows))
+        n, v, start, rough = normal[rows], toward[rows], points[rows], roughness[rows]
+        total = np.zeros((len(rows), 3), np.float32)
+        count = np.zeros((len(rows), 1), np.float32)
         for i in range(_LOBE):
-            part = (i + 0.5) / _LOBE
-            cosine = np.sqrt((1 - part) / (1 + (alpha2 - 1) * part))[:, None]
-            turn = 2 * np.pi * ((_GOLDEN * (i + _LOBE * rows)) % 1)[:, None]
-            flat = np.sqrt(1 - cosine**2)
-            half = flat * (np.cos(turn) * side + np.sin(turn) * other) + cosine * n
-            way = 2 * (v * half).sum(1, keepdims=True) * half - v
-            hits = self.solid.first(start, unit(np.asarray(way, np.float32)))
-            met[hits.rays] += self._seen(hits, way[hits.rays], 0)
-            share[hits.rays] += 1
-        lobe = met / _LOBE + (1 - share / _LOBE)[:, None] * far[rows]
-        most = np.clip((roughness[rows] - _BLUNT) / _BLUNT, 0, 1)[:, None]
-        found[rows] = sharp[rows] + most * (lobe - sharp[rows])
+            half = half_vectors(n, rough[:, None] ** 2, _LOBE, i)
+            way = unit(2 * (v * half).sum(1, keepdims=True) * half - v)
+            above = (way * n).sum(1, keepdims=True) > 0
+            shown = np.array(far[rows])
+            hits = self.solid.first(start, way)
+            shown[hits.rays] = self._seen(hits, way[hits.rays], 0)
+            total += np.where(above, shown, 0)
+            count += above
+        most = np.clip((rough - _BLUNT) / _BLUNT, 0, 1)[:, None] * (count > 0)
+        found = np.array(sharp)
+        found[rows] += most * (total / np.maximum(count, 1) - sharp[rows])
         return found
 
     def _around(self, points: F32, directions: F32, roughness: F32) -> F32:
@@ -318,7 +314,7 @@ def relit(textured: TexturedMesh, looks: Appearance) -> Callable[[Camera], tuple
 
 
 def in_its_light(textured: TexturedMesh, looks: Appearance) -> Relit:
-    """A textured mesh in the light of an appearance that has some."""
+    """A textured mesh in the light of an appearance, whose environment must be known."""
     assert looks.environment is not None
     return Relit(
         textured,

@@ -12,7 +12,7 @@ from refdgs_pipe.pipeline.stage import Job, stage
 from refdgs_pipe.texture.settings import AppearanceParams
 
 
-@stage(version=11, programs=("open3d-cpu", "scipy"), by_device=True)
+@stage(version=12, programs=("open3d-cpu", "scipy"), by_device=True)
 def appearance(
     mesh: Mesh,
     field: SurfelField,
@@ -39,9 +39,9 @@ def appearance(
     cameras = model.training_cameras
     drawn = partial(render_surface_map, field, device=job.device, threads=job.threads, lamp=False)
     plane = support_plane(model.points, model.ball.center, model.ball.radius, model.up)
-    track = partial(job.track, label="looking at the ground")
-    at, per_view = plane.at if plane else None, -(-params.samples // len(cameras))
-    below = light_below(drawn, views, model, at, field.lighting, track)
+    at = None if plane is None else plane.at
+    below = light_below(drawn, views, model, at, field.lighting, job.track)
+    per_view = -(-params.samples // len(cameras))
     sampler = Sampler(mesh, tolerance=tolerance, per_view=per_view, ground=below)
     for camera in job.track(cameras, "looking at places"):
         photo = load_photo(views, model, camera, scale=sampler.scale(camera))

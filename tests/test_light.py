@@ -19,7 +19,7 @@ from refdgs_pipe.light import (
     solid_angles,
     texel_directions,
 )
-from refdgs_pipe.ray_casting import Solid, cosine_rays
+from refdgs_pipe.ray_casting import Solid, cosine_rays, half_vectors
 
 RANDOM = np.random.default_rng(0)
 
@@ -130,6 +130,20 @@ def test_tensors_have_the_mirrored_share_of_arrays_and_its_slope() -> None:
     within = np.abs(rough * 32 % 1 - 0.5) < 0.4  # both in one cell of the table
     slope = (up - down) / (2 * step)
     np.testing.assert_allclose(asked.grad.numpy()[within], slope[within], atol=2e-3)
+
+
+@pytest.mark.parametrize("alpha", [0.05, 0.3, 1.0])
+def test_half_vectors_have_the_density_of_ggx(alpha: float) -> None:
+    """A share u of them lies within an angle whose squared tangent is alpha^2 u / (1 - u)."""
+    normals = unit(300).astype(np.float32)
+    each = np.full((300, 1), alpha, np.float32)
+    found = np.concatenate([half_vectors(normals, each, 32, i) for i in range(32)])
+    cosine = (found * np.tile(normals, (32, 1))).sum(1).astype(np.float64)
+    square = 1 / cosine**2 - 1
+    np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1, atol=1e-5)
+    for share in (0.25, 0.5, 0.75):
+        within = alpha**2 * share / (1 - share)
+        assert (square < within).mean() == pytest.approx(share, abs=0.04)
 
 
 def test_what_a_smooth_layer_mirrors_is_not_scattered() -> None:

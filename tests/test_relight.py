@@ -8,6 +8,8 @@ from painted import textured
 from scenes import look_at
 
 from refdgs_pipe.artifacts.lighting import BANDS, Flash, Lighting, Ring, Turntable
+from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
+from refdgs_pipe.ground_light import GroundLight
 from refdgs_pipe.relight import Relit, offsets, rays_of
 
 SKY = np.full((16, 32, 3), 0.5, np.float32)
@@ -46,6 +48,36 @@ def test_between_two_mirrors_a_third_place_is_seen() -> None:
     lit = [relit._seen(hits, down, more)[0, 0] for more in (0, 1)]
     assert lit[0] == pytest.approx(7.0)
     assert lit[1] > 3.0  # of the vertices met next, not of the sky's 0.5
+
+
+def metal(roughness: int) -> TexturedMesh:
+    """The ball of white metal; roughness in 65535ths."""
+    ball = textured()
+    return replace(
+        ball,
+        base_color=np.full_like(ball.base_color, 65535),
+        roughness=np.full_like(ball.roughness, roughness),
+        metallic=np.full_like(ball.metallic, 65535),
+    )
+
+
+def test_a_rough_ball_does_not_mirror_itself() -> None:
+    """Some half vectors of a wide lobe lead into the ball; such rays do not count."""
+    relit = Relit(metal(40000), SKY)
+    before = relit.draw(CAMERA)[0]
+    relit._sent[:] = 7.0
+    np.testing.assert_allclose(relit.draw(CAMERA)[0], before, atol=0.02)
+
+
+def test_a_mirror_shows_the_ground_below_it_and_the_sky_above() -> None:
+    red = np.zeros((64, 64, 4), np.float32)
+    red[..., 0], red[..., 3] = 0.7, 1
+    ground = GroundLight(red, np.array([0, 0, -1.2]), np.eye(3)[0], np.eye(3)[1], 20.0)
+    picture, alpha = Relit(metal(0), SKY, ground=ground).draw(CAMERA)
+    row = np.flatnonzero((alpha == 1).any(1))
+    low, high = picture[row[-3]][alpha[row[-3]] == 1], picture[row[2]][alpha[row[2]] == 1]
+    assert np.median(low[:, 0]) > 0.7 and np.median(low[:, 1]) < 0.3
+    assert np.ptp(np.median(high, axis=0)) < 0.1
 
 
 def test_outlines_are_drawn_with_sixteen_rays_and_the_rest_with_four() -> None:

@@ -22,8 +22,6 @@ _PER_POINT = {
     "received": 3,
     "openness": 0,
 }
-
-
 _GROUND = "ground.safetensors"
 
 

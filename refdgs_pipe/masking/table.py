@@ -206,7 +206,7 @@ def shown_plane(
         other = np.clip((share - high) / (0.8 - high), 0, 1)  # against a plane that all agree on
         steep = np.where(value < 0, value.clip(-TYPICAL) * other, value.clip(None, LIMIT) * sure)
         covers = table.drawn_cover(shot)
-        steep = np.where(covers, np.minimum(steep, 0), steep)  # not the plane, if it looks so
+        steep = np.where(covers, np.minimum(steep, 0), steep)  # evidence for it does not count
         out.append(Evidence(np.asarray(steep, np.float32), (share > low) | covers))
     return out
 

@@ -1,7 +1,6 @@
 """The light of the ground below the object, from the photos that show it beside the object."""
 
-from collections.abc import Callable, Iterator
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
@@ -25,14 +24,17 @@ def light_below(
     model: SparseModel,
     plane: tuple[F64, float] | None,
     lighting: Lighting,
-    track: Callable[[list[Camera]], Any],
+    track: Callable[[list[Camera], str], Iterable[Camera]],
 ) -> GroundLight | None:
-    """What photos tell of it; None without a plane, or where the light moves.
+    """The light that photos show there; None without a plane, or where the light moves.
 
     Args:
         drawn: what the field looks like, which tells how each photo is exposed.
         plane: unit normal and offset, world.
-        track: goes through cameras, with progress.
+        track: yields the cameras, and reports progress under a label.
+
+    Raises:
+        CorruptError: a photo or its mask is missing or damaged.
     """
     if plane is None or views.background == "removed" or lighting.kind != "world":
         return None
@@ -40,7 +42,7 @@ def light_below(
     some = np.unique(np.linspace(0, len(cameras) - 1, MOST).round().astype(int))
 
     def shown() -> Iterator[Exposed]:
-        for camera in track([cameras[i] for i in some]):
+        for camera in track([cameras[i] for i in some], "looking at the ground"):
             scale = min(1.0, LONGEST / max(camera.width, camera.height))
             photo = load_photo(views, model, camera, scale=scale)
             view = drawn(photo.camera)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from refdgs_pipe.artifacts.appearance import Appearance
 from refdgs_pipe.artifacts.mesh import TriangleMesh
-from refdgs_pipe.ground_light import GroundLight, at_roughness
+from refdgs_pipe.ground_light import GroundLight
 from refdgs_pipe.irradiance import Sky, links_of, look_around, patches, spread
 from refdgs_pipe.light import SMOOTHEST, Environment, blur, lookups, texel_directions
 from refdgs_pipe.texture.mean_light import MeanLight
@@ -183,7 +183,10 @@ class _Problem:
         count = len(self.mesh.vertices)
         guess = Environment(self.guess)
         rough = np.full(len(self.far), _GUESSED, np.float32)
-        mirrored, below = guess.mirrored(self.samples.mirrored, rough), self._below(rough)
+        mirrored, below = (
+            guess.mirrored(self.samples.mirrored, rough),
+            self.samples.of_ground(rough),
+        )
         open_to = (1 - below[:, 3:]) * self.far[:, None]
         sky = open_to > 0.5
         given, had = (self._filled(np.where(sky, v, 0)) for v in (self.samples.specular, mirrored))
@@ -194,12 +197,11 @@ class _Problem:
             (_LEAST_ROOM if self.mean.white else _LEAST_LIGHT)
             / max(float(self.guess.mean()), 1e-6),
         )
-        if self.ground is not None:
-            seen = np.where(self.far[:, None], self.samples.specular, 0)
-            met = np.float32(unit) * mirrored * open_to + below[:, :3]
-            given, had = (self._filled(np.asarray(v, np.float32)) for v in (seen, met))
-            share = np.float32(unit) * given.mean(1) / np.maximum(had.mean(1), 1e-4)
-        metallic = np.clip((share / unit - 0.06) / 0.5, 0.05, 0.9) if metal else np.zeros(count)
+        seen = np.where(self.far[:, None], self.samples.specular, 0)
+        met = np.float32(unit) * mirrored * open_to + below[:, :3]
+        given, had = (self._filled(np.asarray(v, np.float32)) for v in (seen, met))
+        share = given.mean(1) / np.maximum(had.mean(1), 1e-4)
+        metallic = np.clip((share - 0.06) / 0.5, 0.05, 0.9) if metal else np.zeros(count)
         light = np.maximum(self.guess.reshape(-1, 3) * np.float32(unit), 0.01)
         state = State(
             np.where(self.known[:, None], np.maximum(self.told, 1e-4), light),
@@ -212,16 +214,9 @@ class _Problem:
         )
         return self._lit(state)
 
-    def _below(self, roughness: F32) -> F32:
-        """(N, 4) what the samples mirror of the ground, and its share of what they mirror."""
-        if self.samples.ground is None:
-            return np.zeros((len(self.far), 4), np.float32)
-        return at_roughness(self.samples.ground, roughness)
-
     def _ground_seen(self) -> tuple[F32, NDArray[np.bool_]]:
         """(H * 2H, 3) the ground's light from the middle of the mesh, and (H * 2H,) where."""
-        away = texel_directions(self.height).astype(np.float32)
-        away = away.reshape(-1, 3)
+        away = texel_directions(self.height).astype(np.float32).reshape(-1, 3)
         if self.ground is None:
             return np.zeros_like(away), np.zeros(len(away), np.bool_)
         vertices = self.mesh.vertices
@@ -263,10 +258,8 @@ class _Problem:
         plastic, metal = between
         found = variation.reflectance(light, state.roughness)
         metallic = smooth_step(found, plastic, metal)
-        tint = state.tint
-        if self.samples.ground is not None:
-            share, told = variation.tint(light, state.roughness)
-            tint = np.asarray(tint + told * (share - tint), np.float32)
+        share, told = variation.tint(light, state.roughness)
+        tint = np.asarray(state.tint + told * (share - state.tint), np.float32)
         return self._lit(replace(state, metallic=metallic, told_metallic=metallic, tint=tint))
 
     def shown_by_photos(self, state: State) -> State:

@@ -14,7 +14,7 @@ from refdgs_pipe.artifacts.surface_map import SurfaceMap
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.color import linear_from_srgb
 from refdgs_pipe.errors import MeshError
-from refdgs_pipe.ground_light import GroundLight
+from refdgs_pipe.ground_light import GroundLight, at_roughness
 from refdgs_pipe.irradiance import links_of, spread
 from refdgs_pipe.ray_casting import Solid, at_hits
 
@@ -62,6 +62,12 @@ class Samples:
     footprint: F32
     glint: F32 | None = None
     ground: F32 | None = None
+
+    def of_ground(self, roughness: F32) -> F32:
+        """(N, 4) as `GroundLight.mirrored`, for a roughness (N,); 0 where nothing is known."""
+        if self.ground is None:
+            return np.zeros((len(self.face), 4), np.float32)
+        return at_roughness(self.ground, roughness)
 
     @property
     def radiance(self) -> F32:

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from refdgs_pipe.ground_light import at_roughness
 from refdgs_pipe.irradiance import spread
 from refdgs_pipe.light import DIELECTRIC, Environment, reflected_share, reflection_line
 from refdgs_pipe.texture.sampling import Samples, seen_roughness
@@ -24,19 +23,22 @@ Ints = NDArray[np.int64]
 
 _FAINT = 0.06  # light that varies less than this, linear, tells little about what mirrors it
 _SMOOTHING = 4  # rounds, for metal
-_TYPICAL, _TYPICAL_LEVEL = 0.25, 1  # roughness at which the ground is compared; of ROUGHNESSES
-_LOST = 1.3  # times that: what is mirrored is not quite where it is looked for
-_MOSTLY = 0.5  # share of the ground in what a sample mirrors
+# Where the ground is mirrored:
+_TYPICAL = 0.25  # roughness at which seen and known light are compared
+_MOSTLY = 0.5  # share of the ground in what a sample mirrors, from which the sample counts
+_ENOUGH = 0.5  # such samples at a vertex
+_PLAIN = 0.004  # linear: ground that varies less tells nothing of how alike both vary
 _UNLIT = 0.01  # linear: ground darker than this does not tell a metal's colour
-_RATHER = 0.5  # how far that counts alone where nothing else is mirrored
-_PLAIN = 0.004  # the ground that varies less, linear, tells nothing
-_ENOUGH = 0.5  # samples that mirror the ground, at a vertex
-_UNSURE = 1.5  # times what is seen of light from far away, whose brightness is not known
-_LITTLE, _LEAST_EVIDENCE = 0.03, 0.01  # light that varies so much, linear, tells half
-_EVEN = 0.12  # of a surface with as many vertices: how far values are evened
-_OTHER, _ACROSS = 0.25, 1e-4  # log colour of another material; how far its values count
+_INEXACT = 1.3  # factor: the mirrored place is known roughly, so both vary less alike than they are
+_RATHER = 0.5  # weight of that estimate against the other, where only the ground is mirrored
+_UNSURE = 1.5  # factor of the largest possible reflectance under far light, whose unit is unknown
+# Evening between neighbours:
+_LITTLE, _LEAST_EVIDENCE = 0.03, 0.01  # light that varies so much, linear, tells half; the least
+_EVEN = 0.12  # range, in edges, for each square root of the number of vertices
+_OTHER, _ACROSS = 0.25, 1e-4  # log colour of another material; the weight across its border
 _DIMMEST = 0.02  # linear, added to colours before logarithms
 _EXACT, _MOST_STEPS = 1e-4, 400  # of the solution
+# Roughness:
 _WIDELY = 16  # rounds, for roughness: places that mirror little contrast ask those that mirror more
 _UNTOLD = 0.05  # a deviation this much smaller, in logarithms, counts as that of the sharpest
 _ASSUMED = 0.02  # how much glossy counts beside what like places tell
@@ -67,72 +69,75 @@ class ViewVariation:
         """(V,) the reflectance with which a vertex's reflections vary as they are seen to do.
 
         Compared as photos show them, clipped at white: what is brighter varies without limit in the
-        light that was found, but not in what was seen. Where the ground is mirrored, whose light is
-        known, it also counts how far both vary alike. Nothing reflects a larger share of the light
-        than the share of it that is seen.
+        light that was found, but not in what was seen. If the ground's light is known, it also
+        counts how far both vary alike where a vertex mirrors it; no place sends more than its
+        reflectance times its light; and neighbours that look alike get like values.
 
         Args:
             roughness: (V,) as far as it is known.
         """
+        samples = self.samples
         mirrored = self._mirrored(light, np.asarray(self.corners @ roughness, np.float32))
-        everything = np.ones(len(mirrored), np.bool_)
-        around = self._around(everything, _SMOOTHING)
-        seen = np.maximum(around.deviation(np.clip(self.samples.specular, 0, 1)), 1e-5)
+        around = self._around(np.ones(len(mirrored), np.bool_), _SMOOTHING)
+        seen = np.maximum(around.deviation(np.clip(samples.specular, 0, 1)), 1e-5)
         excess = np.empty((len(_REFLECTANCES), len(seen)), np.float32)
         for i, value in enumerate(_REFLECTANCES):
             shown = around.deviation(np.clip(np.float32(value) * mirrored, 0, 1))
             excess[i] = np.log(seen / np.hypot(shown, np.float32(value * _FAINT)))
         found = _crossing(np.asarray(_REFLECTANCES, np.float32), excess)
-        if self.samples.ground is None:
+        if samples.ground is None:  # measured: what follows harms there (ground-light.md)
             return found
-        below = self.samples.ground[:, _TYPICAL_LEVEL, 3]
-        alike = _LOST * self._like_ground(light, below > _MOSTLY)
-        photo, light_met = (np.clip(v, 0, 1) for v in (self.samples.photo, mirrored))
-        sent, met = (around.mean(v) for v in (photo, light_met))
-        most = (sent / np.maximum(met, 1e-4)).max(1)
-        known = around.mean(below[:, None])[:, 0]
-        most *= _UNSURE + (1 - _UNSURE) * known
-        found = alike + (1 - _RATHER * known**2) * np.maximum(found - alike, 0)
-        varied = around.deviation(np.clip(mirrored, 0, 1)) ** 2
+        alike, told = self._like_ground(light)
+        known = around.mean(self._share_of_ground()[:, None])[:, 0]
+        found = alike + (1 - _RATHER * told * known**2) * np.maximum(found - alike, 0)
+        met = np.clip(mirrored, 0, 1)
+        sent, had = (around.mean(v) for v in (np.clip(samples.photo, 0, 1), met))
+        most = (sent / np.maximum(had, 1e-4)).max(1) * (_UNSURE + (1 - _UNSURE) * known)
+        varied = around.deviation(met) ** 2
         evidence = varied / (varied + np.float32(_LITTLE**2)) + np.float32(_LEAST_EVIDENCE)
         found = _evened(np.minimum(found, most), evidence, sent, self.links)
         return np.asarray(np.minimum(found, most), np.float32)
 
     def tint(self, light: Environment, roughness: F32) -> tuple[F32, F32]:
-        """(V, 3) the share of the ground's light that metals reflect; (V, 1) how far it is told.
+        """(V, 3) the share of the ground's light that a metal reflects; (V, 1) how far it is told.
 
         Args:
             roughness: (V,) as far as it is known.
         """
-        assert self.samples.ground is not None
-        met = self.samples.ground[:, _TYPICAL_LEVEL, 3] > _MOSTLY
-        around = self._around(met & (self.samples.near_face < 0), _WIDELY)
-        mirrored = self._mirrored(light, np.asarray(self.corners @ roughness, np.float32))
-        rough = np.asarray(self.corners @ roughness, np.float32)[:, None]
-        scale, offset = reflection_line(rough, np.clip(self.samples.cosine, 0.02, 1)[:, None])
+        around = self._around(self._meets_ground(), _WIDELY)
+        rough = np.asarray(self.corners @ roughness, np.float32)
+        mirrored = self._mirrored(light, rough)
+        cosine = np.clip(self.samples.cosine, 0.02, 1)[:, None]
+        scale, offset = reflection_line(rough[:, None], cosine)
         beyond = np.asarray(self.samples.photo - offset * mirrored, np.float32)
         sent, had = (around.mean(v) for v in (beyond, np.asarray(scale * mirrored, np.float32)))
         told = np.clip(around.count() / _ENOUGH, 0, 1) * (had.mean(1) > _UNLIT)
         found = np.clip(sent / np.maximum(had, 1e-4), 0.02, 0.98)
         return np.asarray(found, np.float32), np.asarray(told, np.float32)[:, None]
 
-    def _like_ground(self, light: Environment, met: NDArray[np.bool_]) -> F32:
-        """(V,) the reflectance with which a vertex mirrors the ground; 0 where it does not.
+    def _like_ground(self, light: Environment) -> tuple[F32, NDArray[np.bool_]]:
+        """(V,) the reflectance with which a vertex mirrors the ground, and (V,) where it is told.
 
         The geometric mean of two estimates: least squares takes noise in the light for a lower
         reflectance, and the ratio of the deviations takes noise in what is seen for a higher one.
-
-        Args:
-            met: (N,) the samples that mirror it.
+        0 where it is not told.
         """
-        rough = np.full(len(met), _TYPICAL, np.float32)
+        around = self._around(self._meets_ground(), _SMOOTHING)
+        rough = np.full(len(self.samples.face), _TYPICAL, np.float32)
         mirrored = np.clip(self._mirrored(light, rough), 0, 1)
-        around = self._around(met & (self.samples.near_face < 0), _SMOOTHING)
         both, had, seen = around.together(mirrored, np.clip(self.samples.specular, 0, 1))
-        told = around.count() >= _ENOUGH
-        alike = np.sqrt(np.maximum(both, 0) / np.maximum(had, 1e-8))
-        ratio = np.sqrt(np.sqrt(seen / np.maximum(had, 1e-8)))
-        return np.where(told & (had > _PLAIN**2), alike * ratio, 0).astype(np.float32)
+        told = (around.count() >= _ENOUGH) & (had > _PLAIN**2)
+        had = np.maximum(had, 1e-8)
+        alike = np.sqrt(np.maximum(both, 0) / had * np.sqrt(seen / had))
+        return np.where(told, _INEXACT * alike, 0).astype(np.float32), told
+
+    def _share_of_ground(self) -> F32:
+        """(N,) the ground's share in what a sample mirrors."""
+        return self.samples.of_ground(np.full(len(self.samples.face), _TYPICAL, np.float32))[:, 3]
+
+    def _meets_ground(self) -> NDArray[np.bool_]:
+        """(N,) the samples that mirror it for the most part; rays that meet the mesh have none."""
+        return np.asarray(self._share_of_ground() > _MOSTLY)
 
     def roughness(self, light: Environment, metallic: F32, tint: F32) -> F32:
         """(V,) the roughness with which a vertex's reflections vary as they are seen to do.
@@ -140,7 +145,8 @@ class ViewVariation:
         Photos are asked, which are sharper than the field: what they show more than its diffuse
         radiance. Where they vary several times as much as it does, that is a texture seen through
         a wrong mesh, and the field is asked. All that a metal sends is mirrored. Where roughness
-        hardly changes what is shown, or nothing is mirrored from afar, glossy is assumed.
+        hardly changes what is shown, or nothing is mirrored from afar, neighbours that look alike
+        tell it if the ground is known; where nothing tells it, glossy is assumed.
 
         Args:
             metallic: (V,) as told; tint: (V, 3) linear reflectance of what is metal.
@@ -165,7 +171,7 @@ class ViewVariation:
         trust = evidence / (evidence + _TELLING**2)
         if self.samples.ground is None:
             return np.asarray(_GRID[_GLOSSY] + trust * (found - _GRID[_GLOSSY]), np.float32)
-        wide = self._around(np.ones(len(rough), np.bool_), _SMOOTHING)
+        wide = self._around(np.ones(len(cosine), np.bool_), _SMOOTHING)
         weight = trust + _ASSUMED
         value = (trust * found + _ASSUMED * _GRID[_GLOSSY]) / weight
         sent = wide.mean(np.clip(self.samples.photo, 0, 1))
@@ -182,10 +188,8 @@ class ViewVariation:
 
     def _mirrored(self, light: Environment, rough: F32) -> F32:
         seen = seen_roughness(rough, self.samples.footprint)
-        far = light.mirrored(self.samples.mirrored, seen)
-        if self.samples.ground is not None:
-            below = at_roughness(self.samples.ground, seen)
-            far = below[:, :3] + (1 - below[:, 3:]) * far
+        below = self.samples.of_ground(seen)
+        far = below[:, :3] + (1 - below[:, 3:]) * light.mirrored(self.samples.mirrored, seen)
         return np.where(self.samples.near_face[:, None] < 0, far, self.near)
 
     def _around(self, counted: NDArray[np.bool_], rounds: int) -> "_Around":
@@ -252,8 +256,8 @@ class _Around:
 def _evened(values: F32, evidence: F32, colors: F32, links: Ints) -> F32:
     """(V,) near the values, and even between neighbours that look alike.
 
-    A material does not change by itself. Least squares: evidence (k - value)^2 at each vertex, and
-    for each edge (k - k')^2, times a weight that is small where the colour changes.
+    A part of one colour has one material. Least squares: evidence (k - value)^2 at each vertex, and
+    (k - k')^2 for each edge, times a weight that is small where the colour changes.
 
     Args:
         evidence: (V,) how much each value counts.
@@ -280,7 +284,10 @@ def _evened(values: F32, evidence: F32, colors: F32, links: Ints) -> F32:
 def _solved(applied: Callable[[F64], F64], diagonal: F64, wanted: F64, start: F64) -> F64:
     """(V,) the solution of a positive definite system, by conjugate gradients.
 
-    Written out, because the library's dot products depend on the number of threads.
+    Written here, because the sums of scipy's solver depend on the number of threads.
+
+    Args:
+        applied: the matrix times a vector; diagonal: (V,) of the matrix; wanted: (V,) right side.
     """
     found = start.copy()
     rest = wanted - applied(found)
