@@ -7,7 +7,7 @@ RefdgsError             70  a bug; never raised itself
 ├── TrainingError       67  training diverged; the last good state is kept
 ├── MeshError           68  no usable surface came out
 ├── ExportError         69  a written file did not pass its validator
-├── DeviceError         71  the wanted GPU is missing or does not fit
+├── DeviceError         71  the wanted GPU or a library of the system is missing, or does not fit
 ├── WorkspaceBusy       72  another process is working in this workspace
 ├── WriteError          73  the disk is full, read-only or forbidden
 ├── CorruptError        74  a file on disk is damaged

@@ -12,6 +12,7 @@ DOING = {
     "refine": "refining shape and reflections",
     "extract": "making a mesh",
     "clean": "cleaning the mesh",
+    "fit": "fitting the mesh to the photos",
     "appearance": "telling material from light",
     "unwrap": "unfolding the mesh for textures",
     "bake": "painting the textures",

@@ -1,24 +1,20 @@
 """Turn the fused mesh into one clean surface within a face budget."""
 
-from dataclasses import replace
-from functools import partial
-
-from refdgs_pipe.artifacts.mesh import Mesh, RawMesh, TriangleMesh
+from refdgs_pipe.artifacts.mesh import CleanMesh, RawMesh, TriangleMesh
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.surfel_field import SurfelField
 from refdgs_pipe.pipeline.stage import Job, stage
 from refdgs_pipe.surface.settings import CleanParams
 
 
-@stage(version=8, programs=("pymeshlab", "open3d-cpu"), by_device=True)
+@stage(version=9, programs=("pymeshlab", "open3d-cpu"))
 def clean(
     raw: RawMesh, field: SurfelField, model: SparseModel, params: CleanParams, job: Job
-) -> Mesh:
-    """Remove floaters, repair, close small holes, smooth, simplify, and fit to the views."""
+) -> CleanMesh:
+    """Remove floaters, repair, close small holes, smooth and simplify."""
     from refdgs_pipe.surface import cleanup, support
     from refdgs_pipe.surface.gaps import without_base
-    from refdgs_pipe.surface.registration import fitted
-    from refdgs_pipe.training import ground, render
+    from refdgs_pipe.training import ground
 
     model = model.placed(field.poses, field.ball)
     diameter = 2 * model.ball.radius
@@ -43,18 +39,6 @@ def clean(
     )
     if (lost := done.removed.area_share) > 0.2:
         job.warn(f"{lost:.0%} of the fused surface was loose pieces and is removed")
-    draw = partial(render.render_surface_map, field, device=job.device, threads=job.threads)
-    mesh, flats = fitted(
-        done.mesh,
-        model,
-        draw,
-        rounds=params.outlines,
-        faces=params.faces,
-        flatten=params.flatten,
-        ground=level,
-        track=job.track,
-    )
-    for name, value, unit in [*replace(done, mesh=mesh).figures(), *support.figures(under)]:
+    for name, value, unit in [*done.figures(), *support.figures(under)]:
         job.measure(name, value, unit)
-    job.measure("parts made flat", flats)
-    return mesh
+    return CleanMesh(done.mesh.vertices, done.mesh.faces, params.faces)

@@ -15,7 +15,7 @@ from refdgs_pipe.artifacts.asset import Asset
 from refdgs_pipe.artifacts.checkpoint import Checkpoint
 from refdgs_pipe.artifacts.lighting import Lighting
 from refdgs_pipe.artifacts.masks import Masks
-from refdgs_pipe.artifacts.mesh import Mesh, RawMesh
+from refdgs_pipe.artifacts.mesh import CleanMesh, Mesh, RawMesh
 from refdgs_pipe.artifacts.object_figures import ObjectFigures
 from refdgs_pipe.artifacts.placement import Attempt, Evidence, Placement, Poses
 from refdgs_pipe.artifacts.scores import Scores, ViewScore
@@ -223,7 +223,8 @@ def steps(
         "shape": lambda folder: Shape(None),
         "refine": lambda folder: field(),
         "extract": lambda folder: RawMesh(mesh.mesh.vertices, mesh.mesh.faces),
-        "clean": lambda folder: Mesh(mesh.mesh.vertices, mesh.mesh.faces),
+        "clean": lambda folder: CleanMesh(mesh.mesh.vertices, mesh.mesh.faces, 2000),
+        "fit": lambda folder: Mesh(mesh.mesh.vertices, mesh.mesh.faces),
         "appearance": lambda folder: appearance(mesh.mesh.vertices),
         "unwrap": lambda folder: mesh.mesh,
         "bake": lambda folder: mesh,

@@ -15,7 +15,7 @@ from refdgs_pipe.artifacts.asset import Asset
 from refdgs_pipe.artifacts.checkpoint import Checkpoint
 from refdgs_pipe.artifacts.lighting import BANDS, Flash, Lighting, Ring, Turntable
 from refdgs_pipe.artifacts.masks import Masks
-from refdgs_pipe.artifacts.mesh import Mesh, RawMesh, UvMesh
+from refdgs_pipe.artifacts.mesh import CleanMesh, Mesh, RawMesh, UvMesh
 from refdgs_pipe.artifacts.placement import Attempt, Placement, Poses
 from refdgs_pipe.artifacts.scores import Scores
 from refdgs_pipe.artifacts.shape import Shape
@@ -31,6 +31,7 @@ KINDS: list[Any] = [
     Appearance,
     Asset,
     Checkpoint,
+    CleanMesh,
     Lighting,
     Masks,
     Mesh,
@@ -116,6 +117,7 @@ SAVED: dict[str, Any] = {
     "start": finished.start(),
     "checkpoint": finished.checkpoint(),
     "shape": Shape(None, "no views"),
+    "clean": CleanMesh(np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], np.int32), 7),
     "scores": Scores("test", (), None, 12, {}, None, None),
 }
 
@@ -130,6 +132,14 @@ def test_a_mesh_without_texture_coordinates_is_no_unwrapped_mesh(tmp_path: Path)
     Mesh(np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], np.int32)).save(tmp_path)
     with pytest.raises(CorruptError, match="no texture coordinates"):
         UvMesh.load(tmp_path)
+
+
+def test_a_clean_mesh_keeps_the_budget_of_the_fitted_one(tmp_path: Path) -> None:
+    CleanMesh(np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], np.int32), 7).save(tmp_path)
+    assert CleanMesh.load(tmp_path).budget == 7
+    (tmp_path / "clean.json").write_text('{"budget": []}')
+    with pytest.raises(CorruptError, match="run the stage clean again"):
+        CleanMesh.load(tmp_path)
 
 
 def test_views_whose_points_are_damaged_are_told(tmp_path: Path) -> None:

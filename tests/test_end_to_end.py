@@ -107,9 +107,11 @@ def test_a_capture_becomes_an_asset_and_only_what_changed_is_made_again(tmp_path
     check_scores(tmp_path / "photos.refdgs")
     (tmp_path / "photos" / "test" / "r_3_normal.png").unlink()
     assert run("run", photos)["made"] == ["ingest", "evaluate"]  # truth is no photo
-    followers = ["extract", "clean", "appearance", "unwrap", "bake", "export"]
+    followers = ["extract", "clean", "fit", "appearance", "unwrap", "bake", "export"]
     again = run("run", photos, extract__voxel=0.025)["made"]
     assert [name for name in again if name != "evaluate"] == followers
+    again = run("run", photos, fit__outlines=1)["made"]
+    assert [name for name in again if name != "evaluate"] == followers[2:]
     assert run("run", photos, "--until", "refine", refine__surfels=1.2)["made"] == ["refine"]
     assert run("run", photos)["made"] == []
 
@@ -130,7 +132,7 @@ def check_scores(work: Path) -> None:
     assert record["scores"]["mean"]["depth_mae"] is None
     assert record["scores"]["notes"]["surface"] == "no gt_mesh.ply in the data set"
     assert record["speed"]["views_per_second"] > 0
-    assert set(record["seconds"]) >= {"ingest", "train", "clean", "evaluate", "export"}
+    assert set(record["seconds"]) >= {"ingest", "train", "clean", "fit", "evaluate", "export"}
 
 
 @pytest.mark.slow

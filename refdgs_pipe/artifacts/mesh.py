@@ -1,5 +1,6 @@
 """Triangle meshes. Distinct types because they promise different things."""
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
@@ -45,8 +46,39 @@ class RawMesh(TriangleMesh):
     """As fused: dense, possibly with floaters and holes."""
 
 
+@dataclass(frozen=True)
+class CleanMesh(TriangleMesh):
+    """One manifold, consistently oriented surface, not yet fitted to the photos.
+
+    Args:
+        budget: the most triangles that the fitted mesh may have.
+    """
+
+    budget: int
+
+    def save(self, folder: Path) -> None:
+        super().save(folder)
+        (folder / "clean.json").write_text(json.dumps({"budget": self.budget}), "utf-8")
+
+    @classmethod
+    def load(cls, folder: Path) -> Self:
+        """Read what `save` wrote.
+
+        Raises:
+            CorruptError: a file is missing or damaged.
+        """
+        data = read_mesh(folder / "mesh.ply")
+        try:
+            budget = int(json.loads((folder / "clean.json").read_text("utf-8"))["budget"])
+        except (OSError, KeyError, TypeError, ValueError) as error:
+            raise CorruptError(
+                f"{folder}: not a readable mesh ({error}): run the stage clean again"
+            ) from error
+        return cls(data.vertices, data.faces, budget)
+
+
 class Mesh(TriangleMesh):
-    """One clean, manifold, consistently oriented surface within the face budget."""
+    """The final surface: manifold, consistently oriented, fitted to the photos."""
 
     @classmethod
     def adopt(cls, path: Path) -> Self:

@@ -16,26 +16,12 @@ import typer
 from refdgs_pipe import __version__
 from refdgs_pipe.child_process import call_in_child
 from refdgs_pipe.cli.device import core_count, cuda_problem, described, has_driver
+from refdgs_pipe.cli.libraries import LIBRARIES, packages_for, try_to_load
 from refdgs_pipe.cli.options import Json
 from refdgs_pipe.documents import write_json_text
 from refdgs_pipe.errors import RefdgsError
 from refdgs_pipe.formatting import aligned, size
 
-# module -> (distribution, what the system must have for it on Debian)
-LIBRARIES = {
-    "torch": ("torch", ""),
-    "cv2": ("opencv-contrib-python-headless", ""),
-    "PIL": ("pillow", ""),
-    "rawpy": ("rawpy", "libgomp1"),
-    "exifread": ("exifread", ""),
-    "scipy": ("scipy", ""),
-    "pycolmap": ("pycolmap", "libgomp1"),
-    "open3d": ("open3d-cpu", "libgl1 libegl1 libx11-6 libusb-1.0-0 libgomp1"),
-    "pymeshlab": ("pymeshlab", "libgl1 libopengl0"),
-    "xatlas": ("xatlas", ""),
-    "pxr": ("usd-core", ""),
-    "safetensors": ("safetensors", ""),
-}
 OPTIONAL = {  # module -> (extra, what needs it)
     "onnxruntime": ("mask-model", "--mask-model"),
     "snakemake": ("batch", "batch run"),
@@ -66,7 +52,7 @@ def doctor_command(as_json: Json = False) -> None:
 def examine() -> list[Finding]:
     """Look at everything. Libraries are loaded in processes of their own: some abort."""
     findings = [_python(), _native()]
-    findings += [_library(module, *entry) for module, entry in LIBRARIES.items()]
+    findings += [_library(module, name) for module, name in LIBRARIES.items()]
     findings += [_optional(module, *entry) for module, entry in OPTIONAL.items()]
     return [*findings, _gpu(), _cores(), _memory(), _disk()]
 
@@ -85,11 +71,6 @@ def describe(findings: Sequence[Finding]) -> str:
     for line, found in zip(aligned(rows), findings, strict=True):
         lines += [line, f"{indent}{found.fix}"] if found.fix else [line]
     return "\n".join(lines)
-
-
-def load(module: str) -> str:
-    """Import a module and return where it is; runs in a child process."""
-    return str(import_module(module).__file__)
 
 
 def native_facts() -> dict[str, str]:
@@ -120,12 +101,13 @@ def _native() -> Finding:
     return Finding("native module", True, ", ".join(f"{k} {v}" for k, v in facts.items()))
 
 
-def _library(module: str, distribution: str, packages: str) -> Finding:
+def _library(module: str, distribution: str) -> Finding:
     try:
-        call_in_child("refdgs_pipe.cli.doctor:load", {"module": module}, timeout_s=120)
+        try_to_load(module)
     except ModuleNotFoundError:
         return Finding(module, False, "not installed", f"pip install {distribution}")
     except (RefdgsError, ImportError, OSError, RuntimeError, AttributeError) as error:
+        packages = packages_for(module)
         system = f"apt-get install {packages}" if packages else ""
         fix = system or f"pip install --force-reinstall {distribution}"
         return Finding(module, False, _first_line(error), fix)
@@ -134,7 +116,7 @@ def _library(module: str, distribution: str, packages: str) -> Finding:
 
 def _optional(module: str, extra: str, user: str) -> Finding:
     """A library that only one option needs: it may be missing, but not broken."""
-    found = _library(module, module, "")
+    found = _library(module, module)
     if found.ok or found.text != "not installed":
         return found
     fix = f"pip install {module} (the extra {extra})"

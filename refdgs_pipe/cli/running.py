@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from refdgs_pipe.cli import mask_model, report
+from refdgs_pipe.cli import libraries, mask_model, report
 from refdgs_pipe.cli.closing import closing
 from refdgs_pipe.cli.console import Console
 from refdgs_pipe.cli.device import check_device, choose_device, core_count
@@ -131,6 +131,7 @@ def _run_logged(
     open_ = [s.stage.name for s in before if s.manifest is None or s.stage.name in options.force]
     wanted = [stage.name for stage in workspace.pipeline.needed_for(options.until)]
     to_make = [name for name in wanted if name in open_]
+    libraries.require(_programs(workspace, to_make))
     if mask_model.STAGE in to_make:
         _try_network(workspace, stopper)
     workspace.memory.write(workspace.root)
@@ -162,6 +163,12 @@ def _run_logged(
         finally:
             log.close()
     return steps, listen.made
+
+
+def _programs(workspace: Workspace, stages: Sequence[str]) -> set[str]:
+    """The distributions that stages use."""
+    wanted = [stage for stage in workspace.pipeline.stages if stage.name in stages]
+    return {name for stage in wanted for name in stage.programs}
 
 
 def _try_network(workspace: Workspace, stopper: Stopper) -> None:
@@ -198,6 +205,7 @@ def print_plan(workspace: Workspace, options: Options) -> None:
     steps = [step for step in workspace.status() if step.stage in wanted]
     _check_place(workspace.root)
     to_make = [s.stage.name for s in steps if s.manifest is None or s.stage.name in options.force]
+    libraries.require(_programs(workspace, to_make))
     if mask_model.STAGE in to_make:
         mask_model.check(workspace.settings, threading.Event())
     if options.json:

@@ -22,6 +22,7 @@ STAGES = (
     "refine",
     "extract",
     "clean",
+    "fit",
     "appearance",
     "unwrap",
     "bake",

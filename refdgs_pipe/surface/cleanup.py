@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from refdgs_pipe.artifacts.mesh import Mesh, TriangleMesh
+from refdgs_pipe.artifacts.mesh import TriangleMesh
 from refdgs_pipe.child_process import call_in_child
 from refdgs_pipe.errors import MeshError
 from refdgs_pipe.surface.topology import (
@@ -35,7 +35,7 @@ class Removed:
 class Cleaned:
     """A clean mesh, what was removed for it, and the rims that stay open, longest first."""
 
-    mesh: Mesh
+    mesh: TriangleMesh
     removed: Removed
     rims: list[Rim]
 
@@ -89,7 +89,7 @@ def clean(
     )
     mesh = made_manifold(compacted(vertices, triangles))
     mesh, _ = without_floaters(mesh, floater)
-    return Cleaned(Mesh(mesh.vertices, mesh.faces), removed, rims(mesh))
+    return Cleaned(mesh, removed, rims(mesh))
 
 
 def without_floaters(mesh: TriangleMesh, diagonal: float) -> tuple[TriangleMesh, Removed]:

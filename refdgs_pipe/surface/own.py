@@ -48,7 +48,7 @@ def own_surface(
             floater=p.floater * diameter,
             hole=p.hole * diameter,
             smoothing=p.smoothing,
-            faces=p.faces_before_walls,
+            faces=p.faces_before_walls if p.outlines else p.faces,
             stop=stop,
         )
     except (ChildCrashed, ChildTimeout, RuntimeError) as error:

@@ -43,7 +43,7 @@ class Fit:
 
 
 def fitted(
-    mesh: Mesh,
+    mesh: TriangleMesh,
     model: SparseModel,
     draw: Callable[[Camera], SurfaceMap],
     *,
@@ -66,7 +66,7 @@ def fitted(
         The mesh, and how many parts of it were made flat.
     """
     if not rounds:
-        return mesh, 0
+        return Mesh(mesh.vertices, mesh.faces), 0
     cameras = model.training_cameras
     limit = _LIMIT * 2 * model.ball.radius
     outlines, patterns, glimpses = [], [], []

@@ -1,6 +1,7 @@
 """Settings of the stages that make a mesh of a field."""
 
-from typing import Literal
+from collections.abc import Mapping
+from typing import ClassVar, Literal
 
 from pydantic import Field
 
@@ -28,26 +29,31 @@ class FusionParams(Params):
 
 
 class RepairParams(Params):
-    """Repair and fit"""
+    """Repair"""
 
     floater: float = Field(
         0.08, ge=0, le=1, description="smaller loose pieces are removed, in ball diameters"
     )
     hole: float = Field(0.15, ge=0, le=10, description="shorter rims are closed, in ball diameters")
     smoothing: int = Field(5, ge=0, le=200, description="smoothing steps (Taubin), a count")
-    outlines: int = Field(3, ge=0, le=20, description="fits of the mesh to its views, a count")
-    flatten: bool = Field(
-        True, description="make flat what outlines show to be flat; with fits to the views"
-    )
     faces: int = Field(50_000, ge=100, le=5_000_000, description="the most triangles, a count")
 
     @property
     def faces_before_walls(self) -> int:
         """Triangles at most before the fit to the views adds walls."""
-        return self.faces - (self.faces // 16 if self.outlines else 0)
+        return self.faces - self.faces // 16
 
 
-class ShapeParams(FusionParams, RepairParams):
+class FitParams(Params):
+    """Fit to the views"""
+
+    outlines: int = Field(3, ge=0, le=20, description="fits of the mesh to its views, a count")
+    flatten: bool = Field(
+        True, description="make flat what outlines show to be flat; with fits to the views"
+    )
+
+
+class ShapeParams(FusionParams, RepairParams, FitParams):
     """The mesh that surfels start anew on, halfway through training."""
 
 
@@ -62,6 +68,10 @@ class ExtractParams(FusionParams):
 class CleanParams(RepairParams):
     """Repair and simplification of the mesh."""
 
+    renamed: ClassVar[Mapping[str, str]] = {
+        "outlines": "fit.outlines",
+        "flatten": "fit.flatten",
+    }
     keep: Literal["object", "all"] = Field("all", description="object: no table or plate below it")
     base: Literal["open", "closed"] = Field(
         "open", description="closed: close the mesh on the ground that the object stands on"

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from refdgs_pipe.artifacts.checkpoint import Checkpoint
 from refdgs_pipe.artifacts.lighting import WORLD, Lighting
 from refdgs_pipe.artifacts.masks import Masks
-from refdgs_pipe.artifacts.mesh import Mesh, RawMesh, TriangleMesh
+from refdgs_pipe.artifacts.mesh import CleanMesh, Mesh, RawMesh, TriangleMesh
 from refdgs_pipe.artifacts.shape import Shape
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.surfel_field import SurfelField
@@ -34,7 +34,7 @@ Marks: TypeAlias = tuple[Any, ...]
 
 THUMBNAIL = 160  # px of the longer side
 GLB = "asset.glb"
-_MESHES: dict[str, type[TriangleMesh]] = {"extract": RawMesh, "clean": Mesh}
+_MESHES: dict[str, type[TriangleMesh]] = {"extract": RawMesh, "clean": CleanMesh, "fit": Mesh}
 MOST_FACES = 400_000  # of a mesh that is sent to the browser
 _MOST_BYTES = 200_000_000  # of an asset
 
@@ -154,9 +154,9 @@ class Contents:
 
     def asset(self) -> PlacedAsset | None:
         """The exported GLB."""
-        found, scene, clean = self._found("export"), self.scene(), self._found("clean")
+        found, scene, fit = self._found("export"), self.scene(), self._found("fit")
         gate = self._found("gate")
-        marks = (found and found.mark, gate and gate.mark, clean and clean.mark)
+        marks = (found and found.mark, gate and gate.mark, fit and fit.mark)
 
         def make() -> PlacedAsset | None:
             assert found is not None
@@ -167,8 +167,8 @@ class Contents:
                 raise CorruptError(f"{GLB} is too large to show")
             longest = found.manifest.origin.params.get("longest")
             metres = scene.model.metres_per_unit or 1.0
-            if longest is not None and clean is not None:  # as the export has it
-                box = np.ptp(load(Mesh, clean.folder).vertices, axis=0)
+            if longest is not None and fit is not None:  # as the export has it
+                box = np.ptp(load(Mesh, fit.folder).vertices, axis=0)
                 metres = float(longest) / float(box.max())
             frame = AssetFrame.of(scene.model.up, metres)
             return PlacedAsset(path.read_bytes(), frame.turn.T, 1.0 / metres)

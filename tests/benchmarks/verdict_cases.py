@@ -36,7 +36,7 @@ CHEAP: dict[str, Any] = {
     "extract.voxel": 0.016,
     "extract.pixels": 112,
     "clean.faces": 2000,
-    "clean.outlines": 1,
+    "fit.outlines": 1,
     "appearance.samples": 3000,
     "appearance.light": 16,
     "unwrap.backend": "uvatlas",
@@ -164,7 +164,7 @@ def _of_settings() -> Iterator[Case]:
     """Other meshes of the same fields, and a field that does not reflect."""
     many: dict[str, dict[str, Any]] = {
         "coarse": {"extract.voxel": 0.045},
-        "melted": {"clean.smoothing": 200, "clean.outlines": 0},
+        "melted": {"clean.smoothing": 200, "fit.outlines": 0},
         "angular": {"clean.faces": 150},
         "bits": {
             "extract.min_alpha": 0.05,

@@ -5,7 +5,7 @@ import importlib.util
 
 import pytest
 
-from refdgs_pipe.cli import device, doctor
+from refdgs_pipe.cli import device, doctor, libraries
 from refdgs_pipe.errors import DeviceError, InputError
 
 
@@ -18,7 +18,7 @@ def test_the_native_module_is_described_or_a_fix_is_given() -> None:
 
 
 def test_a_missing_library_has_one_fix() -> None:
-    finding = doctor._library("no_such_module", "no-such-distribution", "libnone")
+    finding = doctor._library("no_such_module", "no-such-distribution")
     assert (finding.ok, finding.text) == (False, "not installed")
     assert finding.fix == "pip install no-such-distribution"
 
@@ -29,10 +29,32 @@ def test_a_library_that_cannot_be_loaded_names_its_system_packages(
     def refuse(target: str, arguments: object, **options: object) -> None:
         raise ImportError("libGL.so.1: cannot open shared object file\nmore")
 
-    monkeypatch.setattr(doctor, "call_in_child", refuse)
-    finding = doctor._library("open3d", "open3d-cpu", "libgl1")
+    monkeypatch.setattr(libraries, "call_in_child", refuse)
+    finding = doctor._library("pymeshlab", "pymeshlab")
     assert finding.text == "libGL.so.1: cannot open shared object file"
-    assert finding.fix == "apt-get install libgl1"
+    assert finding.fix == "apt-get install libgl1 libopengl0"
+
+
+def test_a_run_without_what_a_later_stage_needs_of_the_system_does_not_start(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def refuse(target: str, arguments: object, **options: object) -> None:
+        raise ImportError("libnone.so.1: cannot open shared object file")
+
+    monkeypatch.setattr(libraries.sys, "platform", "linux")
+    monkeypatch.setattr(libraries, "call_in_child", refuse)
+    monkeypatch.setattr(libraries, "SYSTEM", {"open3d": {"libnone.so.1": "libnone1"}})
+    libraries.require(["pymeshlab", "scipy"])
+    with pytest.raises(DeviceError, match=r"open3d-cpu cannot .* lacks libnone\.so\.1"):
+        libraries.require(["scipy", "open3d-cpu"])
+
+
+def test_a_library_that_brings_what_the_system_lacks_is_fine(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(libraries, "call_in_child", lambda target, arguments, **options: "here")
+    monkeypatch.setattr(libraries, "SYSTEM", {"rawpy": {"libnone.so.1": "libnone1"}})
+    libraries.require(["rawpy"])
 
 
 def test_a_library_that_only_one_option_needs_may_be_missing() -> None:

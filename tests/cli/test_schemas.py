@@ -134,7 +134,7 @@ def test_recipes_are_one_object(capsys: pytest.CaptureFixture[str]) -> None:
 def test_the_doctor_prints_one_object(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(doctor, "LIBRARIES", {"safetensors": ("safetensors", "")})
+    monkeypatch.setattr(doctor, "LIBRARIES", {"safetensors": "safetensors"})
     monkeypatch.setattr(doctor, "OPTIONAL", {"no_such_library": ("extra", "nothing")})
     record = printed(capsys, "doctor")
     holds("doctor", record)

@@ -21,7 +21,7 @@ from solids import (
 )
 from stage_runs import FIELD, NO_MASKS, Run, model_of, show
 
-from refdgs_pipe.artifacts.mesh import Mesh, RawMesh, TriangleMesh, UvMesh
+from refdgs_pipe.artifacts.mesh import CleanMesh, Mesh, RawMesh, TriangleMesh, UvMesh
 from refdgs_pipe.artifacts.sparse_model import Ball
 from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
 from refdgs_pipe.errors import CorruptError, InputError, MeshError
@@ -49,7 +49,7 @@ WRONG = [with_fin, with_flat_face, two_pieces, touching_pieces]
 def test_a_bad_fused_mesh_is_cleaned(spoilt: Callable[[TriangleMesh], Any], run: Run) -> None:
     bad = spoilt(sphere(20))
     raw = RawMesh(bad.vertices, bad.faces)
-    mesh: Mesh = run("clean", raw, FIELD, MODEL, outlines=0, hole=0.3)
+    mesh: CleanMesh = run("clean", raw, FIELD, MODEL, hole=0.3)
     assert not defects(mesh).any and np.isfinite(mesh.vertices).all()
     apart = spoilt in (two_pieces, touching_pieces)
     assert pieces(mesh).max() == (1 if apart else 0)
@@ -124,7 +124,7 @@ def test_a_million_faces_are_brought_within_the_budget(run: Run) -> None:
     random = np.random.default_rng(0)
     rough = solid.vertices * (1 + 0.0005 * random.normal(size=(len(solid.vertices), 1)))
     raw = RawMesh(rough.astype(np.float32), solid.faces)
-    mesh: Mesh = run("clean", raw, FIELD, MODEL, outlines=0)
+    mesh: CleanMesh = run("clean", raw, FIELD, MODEL)
     assert 45_000 < len(mesh.faces) <= 50_000 and not defects(mesh).any
     assert np.abs(np.linalg.norm(mesh.vertices, axis=1) - 1).max() < 0.003
 

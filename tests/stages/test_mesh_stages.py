@@ -47,7 +47,7 @@ def test_a_procedural_scene_becomes_files(run: Run, monkeypatch: pytest.MonkeyPa
     show(monkeypatch, scene.surface_map)
     model = model_of(orbit(24), Ball(np.zeros(3), 1.2))
     raw: RawMesh = run("extract", FIELD, model, voxel=0.01)
-    mesh: Mesh = run("clean", raw, FIELD, model, faces=8000)
+    mesh: Mesh = run("fit", run("clean", raw, FIELD, model, faces=8000), FIELD, model)
     atlas: UvMesh = run("unwrap", mesh)
     looks = finished.appearance(mesh.vertices)
     textured: TexturedMesh = run(
@@ -76,7 +76,7 @@ def test_a_procedural_scene_becomes_files(run: Run, monkeypatch: pytest.MonkeyPa
     assert {"asset.glb", "asset.usdz", "asset.obj", "splats.ply", "preview.png"} <= names
     assert {"environment.hdr", "scene.usda"} <= names
     assert asset.faces == len(mesh.faces) and asset.texture_size == 512
-    assert run.measured("clean")["faces"] == len(mesh.faces)
+    assert run.measured("fit")["faces"] == len(mesh.faces)
     # as a whole or in parts: atlases of nearly the same worth, and meshes differ by processor
     assert str(run.measured("unwrap")["program"]).startswith("UVAtlas")
     assert run.measured("bake")["texels seen"] > 0.98
@@ -90,7 +90,7 @@ def test_what_the_user_should_know_is_said(run: Run, monkeypatch: pytest.MonkeyP
     model = model_of(above, Ball(np.zeros(3), 1.2))
     whole = model_of(orbit(30), Ball(np.zeros(3), 1.2))
     raw = run("extract", FIELD, whole, voxel=0.02)
-    mesh = run("clean", raw, FIELD, whole, faces=2000)
+    mesh = run("fit", run("clean", raw, FIELD, whole, faces=2000), FIELD, whole)
     looks = finished.appearance(mesh.vertices)
     textured = baked(run, mesh, model, size=128)
     run("export", textured, looks, FIELD, model, photos(run), preview=64)
@@ -107,7 +107,7 @@ def test_the_table_is_kept_or_not_as_asked(run: Run, monkeypatch: pytest.MonkeyP
     above = [c for c in orbit(30) if c.center[2] > 0.5]
     model = model_of(above, Ball(np.zeros(3), 1.0))
     raw = run("extract", FIELD, model, voxel=0.012)
-    everything = run("clean", raw, FIELD, model, outlines=0)
+    everything = run("clean", raw, FIELD, model)
     crate_only = run("clean", raw, FIELD, model, faces=4000, keep="object")
     assert run.warnings() == [] and run.measured("clean")["support's share of the area"] > 0.3
     assert crate_only.vertices[:, 2].min() == pytest.approx(-0.5, abs=0.01)
@@ -123,19 +123,17 @@ def test_a_missing_table_is_said_and_everything_stays(
     show(monkeypatch, glossy_pair().surface_map)
     model = model_of(orbit(24), Ball(np.zeros(3), 1.2))
     raw = run("extract", FIELD, model, voxel=0.02)
-    mesh = run("clean", raw, FIELD, model, keep="object", outlines=0)
+    mesh = run("clean", raw, FIELD, model, keep="object")
     (said,) = run.warnings()
     assert "found no level surface" in said and "gate.up" in said
-    np.testing.assert_array_equal(
-        mesh.vertices, run("clean", raw, FIELD, model, outlines=0).vertices
-    )
+    np.testing.assert_array_equal(mesh.vertices, run("clean", raw, FIELD, model).vertices)
 
 
 def test_a_base_that_cannot_be_closed_is_said(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     show(monkeypatch, glossy_pair().surface_map)
     model = model_of(orbit(24), Ball(np.zeros(3), 1.2))  # no points, so no ground
     raw = run("extract", FIELD, model, voxel=0.02)
-    run("clean", raw, FIELD, model, base="closed", outlines=0)
+    run("clean", raw, FIELD, model, base="closed")
     (said,) = run.warnings()
     assert "the base stays open" in said and "textured table" in said
 
@@ -164,7 +162,7 @@ def test_true_maps_give_the_true_asset(
     show(monkeypatch, lambda camera: truth.surface_map(name, camera))
     model = truth.sparse_model(name)
     raw = run("extract", FIELD, model)
-    mesh = run("clean", raw, FIELD, model)
+    mesh = run("fit", run("clean", raw, FIELD, model), FIELD, model)
     looks = finished.appearance(mesh.vertices)
     textured = baked(run, mesh, model, size=1024)
     photos_of = finished.views(run.folder / "photos")

@@ -45,7 +45,7 @@ def test_a_finished_workspace_has_everything_to_show(tmp_path: Path) -> None:
     assert scene is not None
     assert len(scene.model.cameras) == 5
     assert mesh is not None
-    assert mesh[1] == "clean"
+    assert mesh[1] == "fit"
     assert asset is not None
     assert asset.glb.startswith(b"glTF")
     assert field is not None
@@ -85,7 +85,7 @@ def test_photos_are_small_and_without_masks_as_they_are(tmp_path: Path) -> None:
 
 def test_a_damaged_piece_is_a_sentence_and_the_rest_is_shown(tmp_path: Path) -> None:
     store = work(tmp_path)
-    for stage, name in (("refine", "field.safetensors"), ("clean", "mesh.ply")):
+    for stage, name in (("refine", "field.safetensors"), ("fit", "mesh.ply")):
         manifest = store.current(stage)
         assert manifest is not None
         path = store.folder(manifest.origin) / name
