@@ -91,10 +91,13 @@ def main() -> int:
     parser.add_argument("--side", type=int, default=800)
     parser.add_argument("--iterations", type=int, default=8000)
     parser.add_argument("--surfels", type=int, default=20_000)
+    parser.add_argument("--volume-steps", type=int, default=None, help="of the first shape")
     parser.add_argument("--graph", default="auto", choices=["auto", "on", "off"])
     options = parser.parse_args()
     params = Settings.of({})
     params = params.but(iterations=options.iterations, surfels=options.surfels, renew_at=1.0)
+    if options.volume_steps is not None:
+        params = params.but(volume_steps=options.volume_steps)
     if options.device == "cpu":  # where OpenCV shrinks photos
         params = params.but(coarse_until=0.0)
     begin = time.monotonic()

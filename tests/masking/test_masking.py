@@ -107,16 +107,26 @@ def test_a_mirror_ball_on_a_printed_table_is_found(
     capture: tuple[Views, SparseModel, list[np.ndarray]],
 ) -> None:
     views, model, truth = capture
-    found = object_masks(views, model, (UP, 0.0), lambda done, total: None)
+    found = object_masks(views, model, (UP, 0.0), lambda done, total: None, threads=2)
     assert found is not None
     shares = [overlap(m > 0.5, t) for m, t in zip(found.masks, truth, strict=True)]
     assert np.mean(shares) > 0.93
     assert min(shares) > 0.85
     assert agreement(found)[0] > 0.9
-    again = object_masks(views, model, (UP, 0.0), lambda done, total: None, threads=2)
-    assert again is not None
-    for one, other in zip(found.masks, again.masks, strict=True):
-        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.slow
+def test_masks_do_not_depend_on_the_number_of_threads(
+    capture: tuple[Views, SparseModel, list[np.ndarray]],
+) -> None:
+    views, model, _ = capture
+    one, three = (
+        object_masks(views, model, (UP, 0.0), lambda done, total: None, threads=count)
+        for count in (1, 3)
+    )
+    assert one is not None and three is not None
+    for mask, same in zip(one.masks, three.masks, strict=True):
+        np.testing.assert_array_equal(mask, same)
 
 
 def test_an_empty_table_has_no_masks(
@@ -129,7 +139,9 @@ def test_an_empty_table_has_no_masks(
         rgb = print_at((one.center + t[:, None] * rays)[:, :2].clip(-3.9, 3.9))
         pixels = np.rint(255 * rgb.reshape(*SIZE[::-1], 3)).astype(np.uint8)
         Image.fromarray(pixels).save(tmp_path / f"{one.name}.png")
-    found = object_masks(replace(views, folder=tmp_path), model, (UP, 0.0), lambda a, b: None)
+    found = object_masks(
+        replace(views, folder=tmp_path), model, (UP, 0.0), lambda a, b: None, threads=2
+    )
     assert found is None or agreement(found)[0] < 0.9
 
 

@@ -1,5 +1,7 @@
 """Hollows open where photos agree on what lies behind or a volume shows them, and nowhere else."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 import torch
@@ -26,6 +28,22 @@ def open_box() -> Scene:
         ((-HALF, -HALF, low), (HALF, HALF, -DEPTH / 2)),
     )
     return Scene(tuple(Box(a, b, waves) for a, b in walls), gradient_sky)
+
+
+@cache
+def hull_of_box(
+    cells: int,
+) -> tuple[initial.Hull, list[torch.Tensor], list[torch.Tensor], list[Camera]]:
+    """As `hull_of`, of the open box."""
+    return hull_of(open_box(), cells=cells)
+
+
+@cache
+def fitted_box() -> np.ndarray:
+    """What the volume finds empty in the open box."""
+    hull, colors, masks, cameras = hull_of_box(48)
+    grid = (hull.cells, hull.ticks, hull.ball.center)
+    return hollow_cells(*grid, cameras, colors, masks, steps=400, seed=0)
 
 
 def hull_of(
@@ -97,10 +115,8 @@ def test_the_boundary_of_a_cube_is_its_outer_layer() -> None:
 
 
 def test_the_volume_shows_the_pit_of_an_open_box_and_keeps_its_walls() -> None:
-    hull, colors, masks, cameras = hull_of(open_box(), cells=48)
-    empty = hollow_cells(
-        hull.cells, hull.ticks, hull.ball.center, cameras, colors, masks, steps=400, seed=0
-    )
+    hull, *_ = hull_of_box(48)
+    empty = fitted_box()
     x, y, z = np.meshgrid(*hull.axes(), indexing="ij")
     sideways, margin = np.maximum(np.abs(x), np.abs(y)), 1.5 * hull.cell
     pit = (sideways < HALF - THICK - margin) & (z > -DEPTH / 2 + margin) & hull.cells
@@ -145,7 +161,7 @@ def test_plain_cells_go_with_the_pattern_round_them() -> None:
 
 
 def test_what_photos_agree_on_at_the_ground_opens_nothing() -> None:
-    hull, colors, masks, cameras = hull_of(open_box(), cells=48)
+    hull, colors, masks, cameras = hull_of_box(48)
     x, y, z = np.meshgrid(*hull.axes(), indexing="ij")
     ground = z < -DEPTH / 2 + 2 * hull.cell  # the pit's bottom as the ground, mirrored in the walls
     pit = (np.maximum(np.abs(x), np.abs(y)) < HALF - THICK) & (z > -DEPTH / 2) & hull.cells
@@ -154,7 +170,7 @@ def test_what_photos_agree_on_at_the_ground_opens_nothing() -> None:
     higher = empty_cells(hull.cells, hull.axes(), *photos, ground)
     assert higher[pit].mean() < 0.3 * found[pit].mean()
     grid = (hull.cells, hull.ticks, hull.ball.center)
-    fitted = hollow_cells(*grid, *photos, steps=400, seed=0)
+    fitted = fitted_box()
     above = hollow_cells(*grid, *photos, ground, steps=400, seed=0)
     assert above[pit].mean() < 0.5 * fitted[pit].mean()
 

@@ -68,7 +68,7 @@ def test_a_training_needs_none_of_the_libraries_that_a_gpu_machine_lacks(tmp_pat
     synthetic_folder(tmp_path / "scene")
     out = tmp_path / "training.json"
     where = ["--scene", str(tmp_path / "scene"), "--device", "cpu", "--out", str(out)]
-    few = ["--iterations", "4", "--surfels", "200", "--side", "32"]
+    few = ["--iterations", "4", "--surfels", "200", "--side", "32", "--volume-steps", "10"]
     run("training.py", *where, *few, paths=(tmp_path / "refuse",))
     record = json.loads(out.read_text())
     assert record["steps"] == 4 and record["views"] == [6, 2]
