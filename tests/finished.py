@@ -139,7 +139,7 @@ def appearance(points: np.ndarray, *, received: float = 1.0) -> Appearance:
     wide = np.ones((len(points), 3), np.float32)
     light = np.full((16, 32, 3), received, np.float32)
     return Appearance(
-        points, 0.3 * ones, 0 * ones, wide, ones, wide * np.float32(received), ones, light
+        points, 0.3 * ones, 0 * ones, wide, wide, wide * np.float32(received), ones, light
     )
 
 

@@ -18,7 +18,7 @@ _PER_POINT = {
     "roughness": 0,
     "metallic": 0,
     "tint": 3,
-    "gain": 0,
+    "gain": 3,
     "received": 3,
     "openness": 0,
 }
@@ -34,7 +34,7 @@ class Appearance:
         roughness: (V,) as in glTF: the square root of the GGX alpha.
         metallic: (V,) 0 to 1.
         tint: (V, 3) linear reflectance where it is metal.
-        gain: (V,) factor of the field's diffuse radiance.
+        gain: (V, 3) factor of the field's diffuse radiance.
         received: (V, 3) linear radiance that a white matte surface would show there; the base
             colour of what is not metal is diffuse * gain / received.
         openness: (V,) share of the light from all sides that nothing of the object is in front

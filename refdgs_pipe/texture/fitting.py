@@ -17,7 +17,7 @@ from refdgs_pipe.artifacts.appearance import Appearance
 from refdgs_pipe.artifacts.mesh import TriangleMesh
 from refdgs_pipe.ground_light import GroundLight
 from refdgs_pipe.irradiance import Sky, links_of, look_around, patches, spread
-from refdgs_pipe.light import SMOOTHEST, Environment, blur, lookups, texel_directions
+from refdgs_pipe.light import SMOOTHEST, Environment, blur, lookups, solid_angles, texel_directions
 from refdgs_pipe.texture.mean_light import MeanLight
 from refdgs_pipe.texture.sampling import Samples
 from refdgs_pipe.texture.unknowns import Batch, State, Unknown
@@ -31,6 +31,7 @@ _LEAST_LIGHT = 0.3
 _LEAST_ROOM = 0.02  # beside a flash
 # The brightest that surfaces reflect: white paint, polished silver.
 _WHITE, _SILVER = 0.8, 0.9
+_CAST = 0.25  # of the colour cast of the first guess, in logarithms: the rest is the object's
 _GUESSED = 0.2  # roughness, before any is told
 _OPEN = 0.6  # what sees less of the sky says little about how bright it is
 # Reflectances between which plastic turns into metal: while the light may still be too bright,
@@ -126,7 +127,19 @@ def matte(mesh: TriangleMesh, *, lift: float) -> Appearance:
     ones = np.ones(count, np.float32)
     around = _look_around(mesh, lift)
     wide = np.ones((count, 3), np.float32)
-    return Appearance(mesh.vertices, ones, 0 * ones, wide, ones, wide, around.openness, None)
+    return Appearance(mesh.vertices, ones, 0 * ones, wide, wide, wide, around.openness, None)
+
+
+def _balanced(light: F32) -> F32:
+    """The guess (H, 2H, 3) of the light with less of a colour cast.
+
+    The field tells only the product of light and reflectance, so its light has the colour of what
+    mirrors it. Cameras balance photos so that the light is about white.
+    """
+    size = solid_angles(len(light))[..., None]
+    mean = np.maximum((size * light).sum((0, 1)) / size.sum(), 1e-6)
+    cast = mean / np.exp(np.log(mean).mean())
+    return np.asarray(light * cast ** (_CAST - 1), np.float32)
 
 
 class _Problem:
@@ -141,7 +154,8 @@ class _Problem:
         mean: MeanLight,
         ground: GroundLight | None,
     ) -> None:
-        self.mesh, self.samples, self.guess, self.mean = mesh, samples, light, mean
+        self.mesh, self.samples, self.mean = mesh, samples, mean
+        self.guess = light if mean.white else _balanced(light)
         self.ground = ground
         self.height = len(light)
         self.told, self.known = self._ground_seen()
@@ -208,7 +222,7 @@ class _Problem:
             np.full(count, 0.3, np.float32),
             metallic.astype(np.float32),
             np.full((count, 3), 0.8, np.float32),
-            np.ones((count, 1), np.float32),
+            np.ones((count, 3), np.float32),
             np.ones((count, 3), np.float32),
             known=self.known if self.known.any() else None,
         )
@@ -345,7 +359,7 @@ class _Problem:
             roughness=state.roughness,
             metallic=state.metallic,
             tint=state.tint,
-            gain=state.gain[:, 0],
+            gain=state.gain,
             received=state.received,
             openness=self.sky.openness,
             environment=state.light.reshape(self.height, -1, 3),

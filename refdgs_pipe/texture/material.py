@@ -38,7 +38,7 @@ def materials(surface: Surface, mesh: UvMesh, texels: Texels, looks: Appearance)
             looks.roughness[:, None],
             looks.metallic[:, None],
             looks.openness[:, None],
-            looks.gain[:, None] / looks.received,
+            looks.gain / looks.received,
             looks.tint,
         ],
         axis=1,

@@ -37,7 +37,7 @@ class State:
 
     Args:
         light: (H * 2H, 3); received: (V, 3) what a white matte surface would show.
-        roughness, metallic: (V,); tint: (V, 3); gain: (V, 1), of the diffuse radiance.
+        roughness, metallic: (V,); tint: (V, 3); gain: (V, 3), of the diffuse radiance.
         told_metallic, told_roughness: (V,) what was told, to be kept near; None before.
         known: (H * 2H,) where the light is not asked for; None: nowhere.
     """
@@ -80,7 +80,7 @@ class Unknown:
         return torch.where(torch.from_numpy(self.known)[:, None], self._fixed, self.light)
 
     def materials(self) -> Tensor:
-        """(V, 9): roughness, metallic, gain, tint 3, received 3."""
+        """(V, 11): roughness, metallic, gain 3, tint 3, received 3."""
         rough = SMOOTHEST + (1 - SMOOTHEST) * torch.sigmoid(self.rough)
         parts = [rough, torch.sigmoid(self.metal), self.gain.exp(), torch.sigmoid(self.tint)]
         return torch.cat([*parts, self.received], 1)
@@ -111,13 +111,13 @@ class Unknown:
     def state(self) -> State:
         with torch.no_grad():
             found = self.materials()
-            rough, metal, gain = (found[:, i].numpy() for i in range(3))
+            rough, metal = (found[:, i].numpy() for i in range(2))
             return State(
                 self.logs().exp().numpy(),
                 rough,
                 metal,
-                found[:, 3:6].numpy(),
-                gain[:, None],
+                found[:, 5:8].numpy(),
+                found[:, 2:5].numpy(),
                 self.received.numpy(),
                 self.told_metallic,
                 self.told_roughness,
@@ -183,8 +183,8 @@ class Batch:
     def shown(self, unknown: Unknown, blurring: Blur) -> Tensor:
         """(n, 3) what the asset shows there, sRGB-encoded."""
         there = _Apply.apply(unknown.materials(), self.corners)  # type: ignore[no-untyped-call]
-        rough, metal, gain = there[:, 0:1], there[:, 1:2], there[:, 2:3]
-        tint, received = there[:, 3:6], there[:, 6:9]
+        rough, metal, gain = there[:, 0:1], there[:, 1:2], there[:, 2:5]
+        tint, received = there[:, 5:8], there[:, 8:11]
         levels = _Blurred.apply(unknown.logs().exp(), blurring)  # type: ignore[no-untyped-call]
         far = torch.zeros_like(tint)
         seen = seen_roughness(rough, self.footprint)

@@ -110,6 +110,19 @@ def test_the_lights_unit_is_found_from_what_mirrors_it(fitted: Appearance) -> No
     assert 0.6 < fitted.environment.mean() / SKY.mean() < 1.7
 
 
+def test_the_light_does_not_keep_the_colour_of_what_mirrors_it() -> None:
+    mesh = two_balls()
+    samples = samples_of(Scene((SILVER, PLASTIC), gradient_sky), mesh)
+    alone = replace(samples, near_face=np.full_like(samples.near_face, -1))
+    guess = (0.1 * SKY * np.array([1.8, 0.7, 0.8])).astype(np.float32)
+    found = fit(mesh, alone, guess, lift=0.01, metal=True, plan=Plan(epochs=(10, 5, 5, 5)))
+    assert found.environment is not None
+    cast = np.log(found.environment.mean((0, 1)) / SKY.mean((0, 1)))
+    assert np.ptp(cast) < 0.28  # 0.9 in the guess
+    silver = np.median(found.tint[found.points[:, 0] < 0], 0)
+    assert silver[0] > 0.88 * silver[1]  # not cyan
+
+
 def test_openness_is_what_the_other_ball_leaves_of_the_sky(fitted: Appearance) -> None:
     facing = np.abs(fitted.points[:, 0]) < 0.15
     away = np.abs(fitted.points[:, 0]) > 0.9
