@@ -11,7 +11,7 @@ from refdgs_pipe.surface.settings import FitParams
 
 @stage(version=1, programs=("open3d-cpu",), by_device=True)
 def fit(
-    rough: CleanMesh, field: SurfelField, model: SparseModel, params: FitParams, job: Job
+    cleaned: CleanMesh, field: SurfelField, model: SparseModel, params: FitParams, job: Job
 ) -> Mesh:
     """Move the mesh to the outlines and colours that the views show, and make flat parts flat."""
     from refdgs_pipe.surface.registration import fitted
@@ -20,11 +20,11 @@ def fit(
 
     model = model.placed(field.poses, field.ball)
     mesh, flats = fitted(
-        rough,
+        cleaned,
         model,
         partial(render_surface_map, field, device=job.device, threads=job.threads),
         rounds=params.outlines,
-        faces=rough.budget,
+        faces=cleaned.budget,
         flatten=params.flatten,
         ground=ground_below(model, field),
         track=job.track,

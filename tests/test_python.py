@@ -14,7 +14,8 @@ from test_architecture import HEAVY
 from test_end_to_end import write_capture
 
 import refdgs_pipe
-from refdgs_pipe.errors import Cancelled, InputError
+from refdgs_pipe.cli import libraries
+from refdgs_pipe.errors import Cancelled, DeviceError, InputError
 from refdgs_pipe.pipeline import catalog
 from refdgs_pipe.pipeline.events import Event, Progress, Started
 from refdgs_pipe.reporting import asset as turntable
@@ -117,6 +118,18 @@ def test_a_run_can_be_stopped_and_goes_on_later(letters: Path) -> None:
         refdgs_pipe.run(letters, listen=listen, stop=stop, report=False)
     result = refdgs_pipe.run(letters, report=False)
     assert result.measures["shout"]["resumed at"] == 7
+
+
+def test_nothing_is_made_where_a_later_stage_could_not_load_its_library(
+    letters: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    missing = {"no_such_module": {"libnone.so.1": "libnone1"}}
+    monkeypatch.setattr(libraries, "SYSTEM", missing)
+    monkeypatch.setattr(libraries, "LIBRARIES", {"no_such_module": "pydantic"})
+    events: list[Event] = []
+    with pytest.raises(DeviceError, match="apt-get install libnone1"):
+        refdgs_pipe.run(letters, listen=events.append, report=False)
+    assert events == []
 
 
 def test_a_setting_that_is_none_any_more_is_a_warning(letters: Path) -> None:

@@ -21,8 +21,8 @@ GATE_S, MASK_S = 8.0, 4.0  # to check the cameras; to find the object in a photo
 START_S = 30.0  # to find a first shape, without masks
 _SURFACE_SHARES = {
     "extract": 0.08,
-    "clean": 0.06,
-    "fit": 0.06,
+    "clean": 0.03,
+    "fit": 0.09,
     "appearance": 0.45,
     "unwrap": 0.08,
     "bake": 0.15,

@@ -57,10 +57,10 @@ def try_to_load(module: str) -> None:
 
 
 def require(distributions: Iterable[str]) -> None:
-    """Refuse a run whose later stages could not load their libraries, before its first stage.
+    """Refuse a run, before its first stage, if a library that it needs cannot be loaded.
 
-    Takes milliseconds if the system's libraries are there. Elsewhere the library itself is tried:
-    it may bring its own.
+    Takes milliseconds if the system's libraries are there. If one is not found, the library itself
+    is tried, because it may bring its own.
 
     Raises:
         DeviceError: a library lacks what it needs of the system.
@@ -69,26 +69,23 @@ def require(distributions: Iterable[str]) -> None:
         return
     wanted = set(distributions)
     for module, distribution in LIBRARIES.items():
-        missing = _missing(SYSTEM.get(module, {})) if distribution in wanted else []
+        needed = SYSTEM.get(module, {}) if distribution in wanted else {}
+        missing = [name for name in needed if not _is_there(name)]
         if not missing:
             continue
         try:
             try_to_load(module)
         except (RefdgsError, ImportError, OSError, RuntimeError, AttributeError) as error:
-            packages = " ".join(SYSTEM[module][name] for name in missing)
+            packages = " ".join(needed[name] for name in missing)
             raise DeviceError(
-                f"{distribution} cannot be loaded: this machine lacks {', '.join(missing)}. "
-                f"Install it (Debian, Ubuntu: apt-get install {packages}), then run this again. "
-                "`refdgs-pipe doctor` checks everything"
+                f"{distribution} cannot be loaded, because this machine lacks "
+                f"{', '.join(missing)}. Install what is missing (on Debian and Ubuntu: "
+                f"apt-get install {packages}), then run this again"
             ) from error
 
 
-def _missing(names: Iterable[str]) -> list[str]:
-    """The shared libraries that the system does not find."""
-    return [name for name in names if not _is_there(name)]
-
-
 def _is_there(name: str) -> bool:
+    """Whether the system's loader finds a shared library."""
     try:
         ctypes.CDLL(name)
     except OSError:

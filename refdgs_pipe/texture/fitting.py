@@ -31,7 +31,7 @@ _LEAST_LIGHT = 0.3
 _LEAST_ROOM = 0.02  # beside a flash
 # The brightest that surfaces reflect: white paint, polished silver.
 _WHITE, _SILVER = 0.8, 0.9
-_CAST = 0.25  # of the colour cast of the first guess, in logarithms: the rest is the object's
+_CAST = 0.25  # share of its colour cast, in logarithms, that the first guess of the light keeps
 _GUESSED = 0.2  # roughness, before any is told
 _OPEN = 0.6  # what sees less of the sky says little about how bright it is
 # Reflectances between which plastic turns into metal: while the light may still be too bright,
@@ -131,10 +131,10 @@ def matte(mesh: TriangleMesh, *, lift: float) -> Appearance:
 
 
 def _balanced(light: F32) -> F32:
-    """The guess (H, 2H, 3) of the light with less of a colour cast.
+    """(H, 2H, 3) the first guess of the light, with less of a colour cast.
 
-    The field tells only the product of light and reflectance, so its light has the colour of what
-    mirrors it. Cameras balance photos so that the light is about white.
+    The field tells only the product of light and reflectance, so this guess has the colour of what
+    mirrors the light. Cameras balance photos so that the light is about white.
     """
     size = solid_angles(len(light))[..., None]
     mean = np.maximum((size * light).sum((0, 1)) / size.sum(), 1e-6)
@@ -197,10 +197,8 @@ class _Problem:
         count = len(self.mesh.vertices)
         guess = Environment(self.guess)
         rough = np.full(len(self.far), _GUESSED, np.float32)
-        mirrored, below = (
-            guess.mirrored(self.samples.mirrored, rough),
-            self.samples.of_ground(rough),
-        )
+        mirrored = guess.mirrored(self.samples.mirrored, rough)
+        below = self.samples.of_ground(rough)
         open_to = (1 - below[:, 3:]) * self.far[:, None]
         sky = open_to > 0.5
         given, had = (self._filled(np.where(sky, v, 0)) for v in (self.samples.specular, mirrored))

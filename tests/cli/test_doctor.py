@@ -2,6 +2,7 @@
 
 import importlib
 import importlib.util
+from pathlib import Path
 
 import pytest
 
@@ -52,9 +53,27 @@ def test_a_run_without_what_a_later_stage_needs_of_the_system_does_not_start(
 def test_a_library_that_brings_what_the_system_lacks_is_fine(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(libraries, "call_in_child", lambda target, arguments, **options: "here")
+    tried = []
+
+    def load(target: str, arguments: dict[str, str], **options: object) -> str:
+        tried.append(arguments["module"])
+        return "here"
+
+    monkeypatch.setattr(libraries.sys, "platform", "linux")
+    monkeypatch.setattr(libraries, "call_in_child", load)
     monkeypatch.setattr(libraries, "SYSTEM", {"rawpy": {"libnone.so.1": "libnone1"}})
     libraries.require(["rawpy"])
+    assert tried == ["rawpy"]
+
+
+def test_the_set_up_script_installs_what_libraries_need_of_the_system() -> None:
+    script = (Path(__file__).parents[2] / "examples" / "setup.sh").read_text("utf-8")
+    pairs = {
+        f"{name}={package}"
+        for needs in libraries.SYSTEM.values()
+        for name, package in needs.items()
+    }
+    assert {pair for pair in pairs if pair not in script} == set()
 
 
 def test_a_library_that_only_one_option_needs_may_be_missing() -> None:

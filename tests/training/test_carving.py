@@ -31,17 +31,15 @@ def open_box() -> Scene:
 
 
 @cache
-def hull_of_box(
-    cells: int,
-) -> tuple[initial.Hull, list[torch.Tensor], list[torch.Tensor], list[Camera]]:
-    """As `hull_of`, of the open box."""
-    return hull_of(open_box(), cells=cells)
+def hull_of_box() -> tuple[initial.Hull, list[torch.Tensor], list[torch.Tensor], list[Camera]]:
+    """As `hull_of`, of the open box in large cells."""
+    return hull_of(open_box(), cells=48)
 
 
 @cache
 def fitted_box() -> np.ndarray:
     """What the volume finds empty in the open box."""
-    hull, colors, masks, cameras = hull_of_box(48)
+    hull, colors, masks, cameras = hull_of_box()
     grid = (hull.cells, hull.ticks, hull.ball.center)
     return hollow_cells(*grid, cameras, colors, masks, steps=400, seed=0)
 
@@ -100,7 +98,7 @@ def test_a_plain_body_stays_whole() -> None:
 
 @pytest.mark.parametrize("count", [0, 1, 3])
 def test_too_few_photos_open_nothing(count: int) -> None:
-    hull, colors, masks, cameras = hull_of(open_box(), cells=48)
+    hull, colors, masks, cameras = hull_of_box()
     few = (cameras[:count], colors[:count], masks[:count])
     assert not empty_cells(hull.cells, hull.axes(), *few).any()
     grid = (hull.cells, hull.ticks, hull.ball.center)
@@ -115,7 +113,7 @@ def test_the_boundary_of_a_cube_is_its_outer_layer() -> None:
 
 
 def test_the_volume_shows_the_pit_of_an_open_box_and_keeps_its_walls() -> None:
-    hull, *_ = hull_of_box(48)
+    hull, *_ = hull_of_box()
     empty = fitted_box()
     x, y, z = np.meshgrid(*hull.axes(), indexing="ij")
     sideways, margin = np.maximum(np.abs(x), np.abs(y)), 1.5 * hull.cell
@@ -161,7 +159,7 @@ def test_plain_cells_go_with_the_pattern_round_them() -> None:
 
 
 def test_what_photos_agree_on_at_the_ground_opens_nothing() -> None:
-    hull, colors, masks, cameras = hull_of_box(48)
+    hull, colors, masks, cameras = hull_of_box()
     x, y, z = np.meshgrid(*hull.axes(), indexing="ij")
     ground = z < -DEPTH / 2 + 2 * hull.cell  # the pit's bottom as the ground, mirrored in the walls
     pit = (np.maximum(np.abs(x), np.abs(y)) < HALF - THICK) & (z > -DEPTH / 2) & hull.cells
@@ -176,7 +174,7 @@ def test_what_photos_agree_on_at_the_ground_opens_nothing() -> None:
 
 
 def test_the_search_can_be_stopped_and_tells_its_progress() -> None:
-    hull, colors, masks, cameras = hull_of(open_box(), cells=48)
+    hull, colors, masks, cameras = hull_of_box()
     told = []
 
     def progress(done: int, total: int) -> None:
@@ -200,7 +198,7 @@ def test_the_search_can_be_stopped_and_tells_its_progress() -> None:
 
 
 def test_what_the_masks_need_comes_back() -> None:
-    hull, _, masks, cameras = hull_of(open_box(), cells=48)
+    hull, _, masks, cameras = hull_of_box()
     x, _, z = np.meshgrid(*hull.axes(), indexing="ij")
     corner = hull.cells & (x > HALF - 0.2) & (z > 0)  # seen against the background
     left = hull.cells & ~corner
@@ -212,7 +210,7 @@ def test_what_the_masks_need_comes_back() -> None:
 
 
 def test_holes_that_nothing_reaches_are_filled(monkeypatch: pytest.MonkeyPatch) -> None:
-    hull, colors, masks, cameras = hull_of(open_box(), cells=48)
+    hull, colors, masks, cameras = hull_of_box()
     x, y, z = np.meshgrid(*hull.axes(), indexing="ij")
     bubble = (x - HALF) ** 2 + y**2 + (z + DEPTH / 2) ** 2 < 0.05**2
     bubble &= x < HALF - hull.cell * 1.5
