@@ -19,7 +19,9 @@ class BakeParams(Params):
     size: PowerOfTwo = Field(
         2048, ge=64, le=8192, description="texels along a side; a power of two"
     )
-    tolerance: float = Field(0.01, gt=0, le=0.2, description="mesh to field, in ball diameters")
+    tolerance: float = Field(
+        0.01, gt=0, le=0.2, description="largest gap of mesh and field, in ball diameters"
+    )
     refine: bool = Field(True, description="correct base colours by the photos, in the light found")
 
 

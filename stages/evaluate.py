@@ -29,7 +29,7 @@ def evaluate(
     params: EvaluateParams,
     job: Job,
 ) -> Scores:
-    """Score every held-out view (all, if none was held out), the clean mesh and its textures."""
+    """Score every held-out view (all, if none was held out), the fitted mesh and its textures."""
     from refdgs_pipe.evaluation.lpips import load_lpips
     from refdgs_pipe.evaluation.scoring import Drawing, Protocol, Subject, score
     from refdgs_pipe.evaluation.speed import Timed

@@ -14,13 +14,13 @@ from refdgs_pipe.pipeline.stage import Job, stage
 class SfmParams(Params):
     """Structure from motion."""
 
-    max_side: int = Field(1600, ge=100, le=16384, description="photos to this long side, in pixels")
-    max_features: int = Field(8192, ge=100, le=65536, description="features per photo, a count")
+    max_side: int = Field(1600, ge=100, le=16384, description="largest long side, in pixels")
+    max_features: int = Field(8192, ge=100, le=65536, description="features per photo at most")
     first_octave: int | None = Field(
-        None, ge=-1, le=2, description="-1 doubles photos first, slower; none: if below 1000 pixels"
+        None, ge=-1, le=2, description="-1: enlarge photos twofold; unset: if below 1000 pixels"
     )
     masks: Literal["auto", "object", "background", "none"] = Field(
-        "auto", description="where features count; auto tries none, then object, then background"
+        "auto", description="use features of: object, background, none (all); auto: try in turn"
     )
     mat_line: float = Field(
         180.0, ge=90, le=360, description="printed mat's ruler line as measured, in millimetres"

@@ -13,13 +13,13 @@ class UnwrapParams(Params):
     """The atlas."""
 
     backend: Literal["auto", "uvatlas", "xatlas"] = Field(
-        "auto", description="the program to prefer; auto: the better by stretch, use and time"
+        "auto", description="program to prefer; auto: the first good atlas, else the better one"
     )
     gutter: float = Field(
         4.0, ge=0.5, le=64, description="space between charts, in 1/1024 of the atlas's side"
     )
     stretch: float = Field(
-        0.1667, ge=0, le=1, description="stretch allowed before a chart is cut (0 none to 1 any)"
+        0.1667, ge=0, le=1, description="stretch allowed before a chart is cut; 0: none, 1: any"
     )
     timeout: float = Field(
         300.0, gt=0, le=36_000, description="seconds for each program before the next is tried"

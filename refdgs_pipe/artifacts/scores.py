@@ -44,7 +44,7 @@ VIEW_FIGURES = tuple(name for name in ViewScore.__dataclass_fields__ if name != 
 
 @dataclass(frozen=True)
 class SurfaceScore:
-    """The clean mesh against the true surface; lengths in world units. None: not computed.
+    """The fitted mesh against the true surface; lengths in world units. None: not computed.
 
     Args:
         diagonal: of the true surface's bounding box; the unit of every `_percent`.

@@ -47,7 +47,7 @@ from refdgs_pipe.documents import write_json_text
 from refdgs_pipe.errors import InputError
 from refdgs_pipe.formatting import aligned, printable, size
 
-HELP = "Photos of a glossy object in, a textured GLB and USDZ out."
+HELP = "Make a textured GLB and USDZ from photos of a glossy object."
 
 HELP_OPTIONS = {"help_option_names": ["-h", "--help"]}
 
@@ -59,7 +59,7 @@ app = typer.Typer(
     context_settings=HELP_OPTIONS,
 )
 recipes = typer.Typer(
-    help="Look at recipes.",
+    help="List recipes, and show their settings.",
     no_args_is_help=True,
     rich_markup_mode=None,
     context_settings=HELP_OPTIONS,
@@ -82,11 +82,13 @@ def _main(
 def run_command(
     photos: Annotated[
         list[Path],
-        typer.Argument(help="a folder of photos, photos, or a workspace to go on with"),
+        typer.Argument(help="a folder or ZIP of photos, photos, a video, or a workspace"),
     ],
     workspace: Annotated[
         Path | None,
-        typer.Option("--workspace", "-w", help="where results go [PHOTOS.refdgs]", metavar="DIR"),
+        typer.Option(
+            "--workspace", "-w", help="folder for the results [PHOTOS.refdgs]", metavar="DIR"
+        ),
     ] = None,
     recipe_name: RecipeName = None,
     assignments: Assignments = None,
@@ -98,7 +100,7 @@ def run_command(
     ] = None,
     network: Annotated[
         str | None,
-        typer.Option("--mask-model", help="masks by your own network, ONNX", metavar="FILE"),
+        typer.Option("--mask-model", help="make masks with this ONNX network", metavar="FILE"),
     ] = None,
     cache: Cache = None,
     view: View = False,
@@ -113,7 +115,7 @@ def run_command(
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Make the asset, and whatever of the way to it is missing."""
+    """Make the asset from photos. Finished stages are reused."""
     limit, _ = bytes_of(vram), check_device(device)
     sized = [] if longest is None else [f"export.longest={longest}"]
     masked = [] if network is None else [mask_model.assignment(network)]
@@ -154,7 +156,7 @@ def rerun_command(
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Make one stage again; later ones follow only if its output changed."""
+    """Run one stage again. Later stages run only if its output changed."""
     space = spaces.open_workspace(workspace)
     again = frozenset({space.stage_name(stage)})
     verbosity = 0 if quiet else 2 if verbose else 1
@@ -168,7 +170,7 @@ app.command("view")(view_command)
 
 @app.command("verify")
 def verify_command(workspace: Folder, as_json: Json = False) -> None:
-    """Compare every file with its record, set aside what differs, print the chain of hashes."""
+    """Compare every file with its record. Set aside what differs, and print all hashes."""
     from refdgs_pipe.cli import verify
 
     found = verify.examine(spaces.open_workspace(workspace))
@@ -187,7 +189,7 @@ def path_command(workspace: Folder, stage: Stage) -> None:
 
 @app.command("clean")
 def clean_command(workspace: Folder, dry_run: DryRun = False, as_json: Json = False) -> None:
-    """Delete old results that neither the settings nor the last run used. The asset stays."""
+    """Delete old results. Those of the present settings and of the last run stay."""
     space = spaces.open_workspace(workspace)
     mark = space.fingerprint()
     paths = space.pipeline.unused(mark, space.settings)
@@ -212,10 +214,10 @@ def adopt_command(
             help="a stage, or what it makes, such as mesh", autocompletion=completion.stages
         ),
     ],
-    file: Annotated[Path | None, typer.Argument(help="your file")] = None,
+    file: Annotated[Path | None, typer.Argument(help="your file, or folder of masks")] = None,
     drop: Annotated[bool, typer.Option("--drop", help="use the stage's own result again")] = False,
 ) -> None:
-    """Use a file of yours as the result of a stage, until what the stage works from changes."""
+    """Use your own file as the result of a stage. It counts until the stage's input changes."""
     space = spaces.open_workspace(workspace)
     name = space.stage_name(stage)
     if drop == (file is not None):
@@ -232,15 +234,17 @@ def adopt_command(
 def render_command(
     workspace: Folder,
     out: Annotated[Path, typer.Option("--out", help="the folder to write to", metavar="DIR")],
-    split: Annotated[str, typer.Option("--split", help="train, test or all")] = "test",
+    split: Annotated[
+        str, typer.Option("--split", help="views to draw: train, test or all")
+    ] = "test",
     orbit: Annotated[
-        int, typer.Option("--orbit", min=0, help="instead, this many views all round the object")
+        int, typer.Option("--orbit", min=0, help="draw this many views around the object instead")
     ] = 0,
-    scale: Annotated[float, typer.Option("--scale", help="size, as a part of the photos'")] = 1.0,
+    scale: Annotated[float, typer.Option("--scale", help="size; 1: as the photos")] = 1.0,
     device: Device = "auto",
     threads: Threads = 0,
 ) -> None:
-    """Draw the trained model: NAME.png over white, NAME.npz with normals, depth and the rest."""
+    """Draw views of the trained model. NAME.png is on white; NAME.npz has normals and depth."""
     from refdgs_pipe.cli.render import render_views
 
     space = spaces.open_workspace(workspace)
@@ -256,14 +260,14 @@ def eval_command(
     workspace: Folder,
     lpips_weights: Annotated[
         Path | None,
-        typer.Option("--lpips-weights", help="safetensors of VGG16 and LPIPS", metavar="FILE"),
+        typer.Option("--lpips-weights", help="weights for LPIPS, safetensors", metavar="FILE"),
     ] = None,
     device: Device = "auto",
     threads: Threads = 0,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Score the result against held-out photos and ground truth; make what is missing for it."""
+    """Score the result against held-out photos and ground truth. Missing stages are run."""
     from refdgs_pipe.cli.evaluation import describe, evaluate, open_for_scores
 
     space = open_for_scores(workspace, lpips_weights)
@@ -278,10 +282,10 @@ def eval_command(
 @app.command("report")
 def report_command(
     workspace: Folder,
-    out: Annotated[Path | None, typer.Option("--out", help="another file", metavar="FILE")] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="file to write", metavar="FILE")] = None,
     threads: Threads = 0,
 ) -> None:
-    """Write WORKSPACE/report.html: photos, cameras, training, views, mesh, scores, 3D view."""
+    """Write the report again: WORKSPACE/report.html."""
     from refdgs_pipe.cli import report
 
     space = spaces.open_workspace(workspace)
@@ -291,18 +295,18 @@ def report_command(
 @app.command("bench")
 def bench_command(
     scenes: Annotated[list[Path], typer.Argument(help="captures, as `run` takes them")],
-    out: Annotated[Path, typer.Option("--out", help="where all goes", metavar="DIR")],
+    out: Annotated[Path, typer.Option("--out", help="folder for all results", metavar="DIR")],
     recipes_wanted: Annotated[
         str,
         typer.Option(
             "--recipes",
-            help="recipes with commas between",
+            help="recipes, separated by commas",
             metavar="A,B",
             autocompletion=completion.recipe_lists,
         ),
     ] = recipe.DEFAULT,
     seeds: Annotated[
-        str, typer.Option("--seeds", help="seeds with commas between", metavar="0,1")
+        str, typer.Option("--seeds", help="seeds, separated by commas", metavar="0,1")
     ] = "0",
     assignments: Assignments = None,
     device: Device = "auto",
@@ -311,7 +315,7 @@ def bench_command(
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Score every scene with every recipe and seed; go on where it was stopped."""
+    """Score every scene with every recipe and seed. The same command resumes."""
     from refdgs_pipe.cli import bench, bench_table
 
     names, numbers = bench.listed(recipes_wanted, "--recipes"), bench.seeds_of(seeds)

@@ -16,7 +16,7 @@ from refdgs_pipe.pipeline.catalog import STAGES
 from refdgs_pipe.pipeline.leftovers import results_in
 
 caches = typer.Typer(
-    help="Keep shared results sound and small.",
+    help="Check shared results, and delete old ones.",
     no_args_is_help=True,
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -34,7 +34,7 @@ def verify_command(
     place: Place,
     delete: Annotated[bool, typer.Option("--delete", help="delete what is damaged")] = False,
 ) -> None:
-    """Download everything and compare it with its hashes; name what is damaged."""
+    """Download all shared files and compare them with their hashes. Damaged ones are named."""
     from refdgs_pipe.sharing.places import look_at
     from refdgs_pipe.sharing.upkeep import described, verify
 
@@ -50,15 +50,22 @@ def verify_command(
 def gc_command(
     place: Place,
     older_than: Annotated[
-        str, typer.Option("--older-than", help="age of what goes", metavar="30d")
+        str,
+        typer.Option(
+            "--older-than", help="least age of deleted results: 12h, 30d, 4w", metavar="30d"
+        ),
     ] = "30d",
     keep: Annotated[
         Path | None,
-        typer.Option("--keep", help="lines of STAGE/KEY, workspaces or batches", metavar="FILE"),
+        typer.Option(
+            "--keep",
+            help="list of what stays: a STAGE/KEY, workspace or batch per line",
+            metavar="FILE",
+        ),
     ] = None,
     dry_run: DryRun = False,
 ) -> None:
-    """Delete results that were shared long ago, and files that no result needs."""
+    """Delete old shared results, and files that no result needs."""
     from refdgs_pipe.sharing.places import look_at
     from refdgs_pipe.sharing.upkeep import collect
 

@@ -28,11 +28,12 @@ _MARKS = {"ok": "ok", "note": "note", "but": "but", "bad": "NO"}
 
 def check_command(
     photos: Annotated[
-        list[Path], typer.Argument(help="a folder of photos, photos, or a workspace")
+        list[Path],
+        typer.Argument(help="a folder or ZIP of photos, photos, a video, or a workspace"),
     ],
     out: Annotated[
         Path | None,
-        typer.Option("--out", help="where the page goes [PHOTOS.check.html]", metavar="FILE"),
+        typer.Option("--out", help="file for the page [PHOTOS.check.html]", metavar="FILE"),
     ] = None,
     as_json: Annotated[
         bool, typer.Option("--json", help="print one JSON object on stdout")
@@ -40,9 +41,9 @@ def check_command(
     threads: Annotated[
         int, typer.Option("--threads", min=0, help="CPU threads; 0: every core")
     ] = 0,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="no progress")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="show no progress")] = False,
 ) -> None:
-    """Look at photos for a minute: can they be used, what is wrong, how long will a run take."""
+    """Check in about a minute if photos can be used. Say what is wrong and how long a run takes."""
     if len(photos) == 1 and is_workspace(photos[0]):
         photos = list(Memory.read(photos[0]).photos)
     paths = tuple(absolute(path) for path in photos)

@@ -43,7 +43,7 @@ class Finding:
 
 
 def doctor_command(as_json: Json = False) -> None:
-    """Check this machine and the installation; one fix for each problem."""
+    """Check this machine and the installation. Each problem has a fix."""
     findings = examine()
     print(write_json_text(record(findings), indent=2) if as_json else describe(findings))
     raise typer.Exit(0 if all(finding.ok for finding in findings) else 71)

@@ -12,7 +12,7 @@ def mat_command(
     out: Annotated[Path, typer.Option("--out", help="the PDF to write", metavar="FILE")],
     paper: Annotated[str, typer.Option("--paper", help="a4 or letter")] = "a4",
 ) -> None:
-    """Write a mat to print: under the object it tells photos size, up and place."""
+    """Write a mat to print. Below the object, it gives size, up direction and camera positions."""
     from refdgs_pipe.mat.drawing import pdf
     from refdgs_pipe.mat.layout import mat_of
     from refdgs_pipe.pipeline.atomic import disk_errors

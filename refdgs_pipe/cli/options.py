@@ -21,7 +21,7 @@ Assignments = Annotated[
     list[str] | None,
     typer.Option(
         "--set",
-        help="change one setting; may be repeated",
+        help="change one setting; may be repeated; see recipe show",
         metavar="STAGE.KEY=VALUE",
         autocompletion=completion.settings,
     ),
@@ -31,20 +31,24 @@ Device = Annotated[
     str, typer.Option("--device", help="auto, cpu or cuda", autocompletion=completion.devices)
 ]
 Threads = Annotated[int, typer.Option("--threads", min=0, help="CPU threads; 0: every core")]
-Vram = Annotated[str, typer.Option("--vram", help="GPU memory to keep within", metavar="8GB")]
+Vram = Annotated[str, typer.Option("--vram", help="most GPU memory to use", metavar="8GB")]
 CudaGraph = Annotated[
     bool | None,
-    typer.Option("--cuda-graph/--no-cuda-graph", help="repeat recorded GPU steps [if equal]"),
+    typer.Option(
+        "--cuda-graph/--no-cuda-graph", help="replay GPU steps as CUDA graphs [where equal]"
+    ),
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="only warnings and errors")]
-Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="every measured figure too")]
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="also every measured figure")]
 Strict = Annotated[bool, typer.Option("--strict", help="exit with 3 on warnings or a poor verdict")]
 Verify = Annotated[bool, typer.Option("--verify", help="first compare every file with its record")]
 Cache = Annotated[
     str | None,
-    typer.Option("--cache", help="share results: s3://, gs://, az:// or a folder", metavar="PLACE"),
+    typer.Option(
+        "--cache", help="share results in s3://, gs://, az:// or a folder", metavar="PLACE"
+    ),
 ]
-View = Annotated[bool, typer.Option("--view", help="show it in a browser while it is made")]
+View = Annotated[bool, typer.Option("--view", help="show the run in a browser")]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="only say what would be done")]
 
 
@@ -55,7 +59,7 @@ Until = Annotated[
     str | None,
     typer.Option(
         "--until",
-        help="make this and what it needs",
+        help="stop after this stage",
         metavar="STAGE",
         autocompletion=completion.stages,
     ),
@@ -64,7 +68,7 @@ From = Annotated[
     str | None,
     typer.Option(
         "--from",
-        help="make this and what follows again",
+        help="run this stage and all later ones again",
         metavar="STAGE",
         autocompletion=completion.stages,
     ),
@@ -72,7 +76,10 @@ From = Annotated[
 Force = Annotated[
     list[str] | None,
     typer.Option(
-        "--force", help="make this again", metavar="STAGE", autocompletion=completion.stages
+        "--force",
+        help="run this stage again; may be repeated",
+        metavar="STAGE",
+        autocompletion=completion.stages,
     ),
 ]
 RecipeArgument = Annotated[

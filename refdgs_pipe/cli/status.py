@@ -18,7 +18,7 @@ def status_command(
     assignments: Assignments = None,
     as_json: Json = False,
 ) -> None:
-    """Say of every stage whether it is up to date, and if not, why; and what is running."""
+    """Say whether each stage is up to date, and if not, why. Say what is running."""
     memory = spaces.remembered(workspace, recipe_name, assignments or [])
     space = spaces.open_workspace(workspace, memory)
     steps, now = space.status(), activity(space.root)

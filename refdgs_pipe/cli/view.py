@@ -26,11 +26,14 @@ NICENESS = 10  # a tenth of the share of an ordinary process; `Effort` bounds th
 def view_command(
     workspace: Folder,
     port: Annotated[
-        int, typer.Option("--port", min=0, max=65535, help="0: a free one from 8080 on")
+        int,
+        typer.Option(
+            "--port", min=0, max=65535, help="port of the page; 0: the first free one from 8080"
+        ),
     ] = 0,
     with_run: Annotated[int, typer.Option("--with-run", hidden=True, help="its threads")] = 0,
 ) -> None:
-    """Show a workspace in a browser, also while it is made; Ctrl-C ends the view."""
+    """Show a workspace in a browser, also during a run. Ctrl-C ends the view."""
     from refdgs_pipe.viewing.server import check_installed, free_port
 
     root = absolute(workspace)

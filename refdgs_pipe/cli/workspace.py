@@ -87,7 +87,7 @@ class Workspace:
             raise CorruptError(f"{error}. `refdgs-pipe verify {self.root}` mends it") from None
 
     def stage_name(self, text: str) -> str:
-        """The name of a stage, given by it or by what it makes ("mesh" for clean)."""
+        """The name of a stage, given by it or by what it makes ("mesh" for fit)."""
         for stage in self.pipeline.stages:
             if text.lower() == stage.output.__name__.lower():
                 return stage.name

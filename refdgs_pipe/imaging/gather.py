@@ -84,7 +84,7 @@ def figures_of(views: Views) -> dict[str, int | str]:
 
 def _too_few(items: Sequence[View], skipped: Sequence[Skipped]) -> str:
     photos = "1 usable photo" if len(items) == 1 else f"{len(items)} usable photos"
-    advice = "20 to 60 photos from all around the object work well"
+    advice = "30 to 100 photos from all around the object work well"
     if not skipped:
         return f"found {photos}, at least {MIN_PHOTOS} are needed; {advice}"
     if not items and all(s.harmless for s in skipped):

@@ -11,21 +11,31 @@ class IngestParams(Params):
     """How photos are read."""
 
     max_side: int = Field(
-        1600, ge=64, le=16384, description="longer photos are reduced to this long side, in pixels"
+        1600, ge=64, le=16384, description="larger photos are reduced to this long side, in pixels"
     )
     placing_side: int = Field(
-        1600, ge=64, le=16384, description="least long side for structure from motion, in pixels"
+        1600,
+        ge=64,
+        le=16384,
+        description="long side of photos for structure from motion, if above max_side, in pixels",
     )
     video_frames: int = Field(
-        80, ge=3, le=2000, description="frames taken of a video at most, a count"
+        80, ge=3, le=2000, description="most frames taken from a video, a count"
     )
     holdout: int = Field(
-        8, ge=0, le=1000, description="hold out every n-th of 16 or more photos, a count; 0: none"
+        8,
+        ge=0,
+        le=1000,
+        description="hold out every n-th photo if there are 16 or more; 0: hold out none",
     )
     split: Literal["auto", "nero", "every8"] = Field(
-        "auto", description="held out: auto, as the data set says, else by holdout; nero; every8"
+        "auto",
+        description="which photos are held out. auto: as the data set says, else by "
+        "ingest.holdout; nero: NeRO's 32 views; every8: every eighth",
     )
-    chart: Literal["auto", "off"] = Field("auto", description="correct by a colour chart in sight")
+    chart: Literal["auto", "off"] = Field(
+        "auto", description="auto: correct colours if a photo shows a colour chart; off: never"
+    )
 
     @field_validator("holdout")
     @classmethod

@@ -12,7 +12,7 @@ class LightingParams(Params):
 
     kind: Literal["auto", "world", "turntable", "flash", "world+flash"] = Field(
         "auto",
-        description="world: it stands still with the object; turntable: the object turns in a room "
-        "that stands still; flash: a lamp on the camera, in a dark room; world+flash: in a bright "
-        "one; auto: what the photos show",
+        description="how the light moves. auto: as the photos show; world: light and object stand "
+        "still; turntable: the object turns in a room that stands still; flash: a lamp on the "
+        "camera in a dark room; world+flash: a lamp on the camera in a bright room",
     )

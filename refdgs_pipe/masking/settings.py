@@ -13,25 +13,26 @@ class MasksParams(Params):
     """Masks that are made from the photos themselves."""
 
     find: Literal["auto", "off"] = Field(
-        "auto", description="auto: where the photos have none and all agree on one; or off"
+        "auto", description="auto: find masks for photos that have none; off: do not"
     )
     agreement: float = Field(
         0.87,
         ge=0,
         le=1,
-        description="masks that agree less with the solid that all of them show are not used; "
-        "those of a network are, with a warning (intersection over union)",
+        description="least agreement of found masks with the one solid that all of them show "
+        "(intersection over union). Below it found masks are not used; a network's masks are used "
+        "with a warning",
     )
     model: str = Field(
         "",
         max_length=4096,
-        description="your own segmentation network as an ONNX file, an absolute path; empty: none",
+        description="absolute path of your own segmentation network, an ONNX file; empty: none",
     )
-    model_digest: str = Field("", max_length=64, description="hash of that file, as a run finds it")
+    model_digest: str = Field("", max_length=64, description="hash of that file; a run sets it")
     model_input: Literal["imagenet", "0..1", "-0.5..0.5", "-1..1"] = Field(
         "imagenet",
-        description="what the network is fed: RGB in [0, 1] less ImageNet's mean, by its standard "
-        "deviation; or RGB from the first to the second number",
+        description="input of the network. imagenet: RGB in [0, 1], normalised by ImageNet's mean "
+        "and standard deviation; otherwise RGB scaled to this range",
     )
 
     @field_validator("model")

@@ -18,10 +18,10 @@ class FusionParams(Params):
         4.0, ge=2, le=16, description="half-width of the signed-distance band, in voxels"
     )
     min_alpha: float = Field(
-        0.5, ge=0, le=1, description="pixels that the surface covers less are ignored (share)"
+        0.5, ge=0, le=1, description="pixels with less opacity are ignored (share)"
     )
     min_views: int = Field(
-        2, ge=1, le=50, description="views that must see a place for it to become surface (count)"
+        2, ge=1, le=50, description="views that must see a place before it becomes surface, a count"
     )
     pixels: int = Field(
         960, ge=64, le=8192, description="longest side of the depth maps, in pixels"
@@ -32,11 +32,16 @@ class RepairParams(Params):
     """Repair"""
 
     floater: float = Field(
-        0.08, ge=0, le=1, description="smaller loose pieces are removed, in ball diameters"
+        0.08,
+        ge=0,
+        le=1,
+        description="loose pieces smaller than this are removed, in ball diameters",
     )
-    hole: float = Field(0.15, ge=0, le=10, description="shorter rims are closed, in ball diameters")
+    hole: float = Field(
+        0.15, ge=0, le=10, description="holes with a shorter rim are closed, in ball diameters"
+    )
     smoothing: int = Field(5, ge=0, le=200, description="smoothing steps (Taubin), a count")
-    faces: int = Field(50_000, ge=100, le=5_000_000, description="the most triangles, a count")
+    faces: int = Field(50_000, ge=100, le=5_000_000, description="most triangles, a count")
 
     @property
     def faces_before_walls(self) -> int:
@@ -47,21 +52,24 @@ class RepairParams(Params):
 class FitParams(Params):
     """Fit to the views"""
 
-    outlines: int = Field(3, ge=0, le=20, description="fits of the mesh to its views, a count")
+    outlines: int = Field(
+        3, ge=0, le=20, description="rounds of fitting the mesh to the views, a count"
+    )
     flatten: bool = Field(
-        True, description="make flat what outlines show to be flat; with fits to the views"
+        True,
+        description="make parts flat that outlines show to be flat; needs outlines of 1 or more",
     )
 
 
 class ShapeParams(FusionParams, RepairParams, FitParams):
-    """The mesh that surfels start anew on, halfway through training."""
+    """The mesh that surfels start anew on, at `train.renew_at`."""
 
 
 class ExtractParams(FusionParams):
     """Fusion of depth maps on a voxel grid."""
 
     close: bool = Field(
-        True, description="close gaps that no view sees, on the ground that the object stands on"
+        True, description="close gaps that no view sees, down to the ground below the object"
     )
 
 
@@ -72,7 +80,10 @@ class CleanParams(RepairParams):
         "outlines": "fit.outlines",
         "flatten": "fit.flatten",
     }
-    keep: Literal["object", "all"] = Field("all", description="object: no table or plate below it")
+    keep: Literal["object", "all"] = Field(
+        "all", description="all: the whole mesh; object: without the table or plate below it"
+    )
     base: Literal["open", "closed"] = Field(
-        "open", description="closed: close the mesh on the ground that the object stands on"
+        "open",
+        description="closed: close the mesh where the object stands on the ground; open: do not",
     )

@@ -11,8 +11,14 @@ class AppearanceParams(Params):
     """The fit of materials and light to what the field shows."""
 
     metal: Literal["tell", "none"] = Field(
-        "tell", description="tell it by how reflections vary, or none"
+        "tell", description="tell: find metal by how reflections vary; none: no metal"
     )
-    samples: int = Field(300_000, ge=1000, le=20_000_000, description="places compared, a count")
-    light: int = Field(64, ge=16, le=256, multiple_of=8, description="rows of the light, in texels")
-    tolerance: float = Field(0.01, gt=0, le=0.2, description="mesh to field, in ball diameters")
+    samples: int = Field(
+        300_000, ge=1000, le=20_000_000, description="samples of the surface, a count"
+    )
+    light: int = Field(
+        64, ge=16, le=256, multiple_of=8, description="rows of the light map, in texels"
+    )
+    tolerance: float = Field(
+        0.01, gt=0, le=0.2, description="largest gap of mesh and field, in ball diameters"
+    )

@@ -14,12 +14,12 @@ from refdgs_pipe.params import Former, Params, PowerOfTwo
 
 
 class PhotoParams(Params):
-    """Photos and chance"""
+    """Photos and random seed"""
 
     max_side: int = Field(
         800, ge=32, le=8192, description="longest image side trained on, in pixels"
     )
-    seed: int = Field(0, ge=0, description="of all random choices of training")
+    seed: int = Field(0, ge=0, description="seed of all random choices in training")
 
 
 class ObjectParams(Params):
@@ -27,36 +27,37 @@ class ObjectParams(Params):
 
     ground: Literal["background", "object"] = Field(
         "background",
-        description="what the surface that the object stands on belongs to, where there are no "
-        "masks and sparse points show one",
+        description="without masks, what the ground below the object belongs to, if sparse points "
+        "show it",
     )
     masked: Literal["hull", "volume", "carved", "ball"] = Field(
         "carved",
-        description="where surfels start when there are masks: on their visual hull, throughout "
-        "it, on it and in the hollows that photos agree on, or throughout the object ball",
+        description="where surfels start with masks. hull: on the visual hull; volume: throughout "
+        "it; carved: on the hull without the hollows that photos show; ball: throughout the "
+        "object ball",
     )
     unmasked: Literal["auto", "look", "stereo"] = Field(
         "auto",
-        description="where surfels start without masks: look: where a first look finds the object; "
-        "stereo: on what neighbouring photos agree on; auto: stereo for photos from one side",
+        description="where surfels start without masks. look: where a first look finds the object; "
+        "stereo: where neighbouring photos agree; auto: stereo for photos from one side, else look",
     )
     volume_steps: int = Field(
         1200,
         ge=0,
         le=100_000,
-        description="steps of fitting a coarse volume that shows more hollows, where surfels start "
-        "carved; 0: none",
+        description="steps for a coarse volume that finds more hollows, if masked is carved; "
+        "0: no volume",
     )
     vessels: bool = Field(
         True,
-        description="whether a level top is tried as the mouth of a vessel: two short trainings "
-        "are judged by photos that they did not see",
+        description="try a level top as a lid and as the mouth of a vessel: two short trainings "
+        "are compared by photos that they did not use",
     )
     outline_cells: float = Field(
         1.5,
         ge=0,
         le=5,
-        description="hull discs this near, in cells, start on the masks' outlines; 0: none",
+        description="discs this near to the masks' outlines start on them, in hull cells; 0: none",
     )
 
 
@@ -67,22 +68,25 @@ class LookParams(Params):
         1000,
         ge=0,
         le=100_000,
-        description="steps in which the object is looked for, where there are no masks; 0: none, "
-        "and surfels start throughout the ball",
+        description="steps of the first look, which finds the object without masks; 0: none, and "
+        "surfels start throughout the ball",
     )
     look_scale: float = Field(0.5, gt=0, le=1, description="image scale of the first look")
     look_surfels: int = Field(
-        60_000, ge=100, le=5_000_000, description="geometry surfels of the first look at most"
+        60_000, ge=100, le=5_000_000, description="most geometry surfels of the first look"
     )
     look_surfels_per_pixel: float = Field(
         1.5,
         gt=0,
         le=100,
-        description="geometry surfels of the first look at most, for each pixel of half the "
-        "ball's disc",
+        description="most geometry surfels of the first look, for each pixel of half the ball's "
+        "disc",
     )
     look_environment: PowerOfTwo = Field(
-        256, ge=16, le=1024, description="rows of the Sph-Mip map of the first look, a power of two"
+        256,
+        ge=16,
+        le=1024,
+        description="rows of the first look's environment map (Sph-Mip), a power of two",
     )
 
 
@@ -94,7 +98,7 @@ class CountParams(Params):
         6_000, ge=100, le=2_000_000, description="local reflection surfels at the start"
     )
     background_surfels: int = Field(
-        60_000, ge=100, le=5_000_000, description="surfels outside the object ball at most"
+        60_000, ge=100, le=5_000_000, description="most surfels outside the object ball"
     )
 
 
@@ -102,12 +106,12 @@ class StartExperimentParams(Params):
     """Start, for experiments"""
 
     opacity: float = Field(
-        0.03, gt=0, lt=1, description="of surfels that start throughout the visual hull"
+        0.03, gt=0, lt=1, description="opacity of surfels that start throughout the visual hull"
     )
     bfloat16: bool = Field(
         True,
-        description="the shader's network multiplies bfloat16 numbers where the CPU can: faster, "
-        "equal in quality, but other CPUs give slightly other results",
+        description="multiply bfloat16 numbers in the shader's network where the CPU can: faster, "
+        "equal in quality; results differ slightly from those of other CPUs",
     )
 
 
@@ -120,7 +124,7 @@ class ScheduleParams(Params):
 
     iterations: int = Field(5000, ge=1, le=200_000, description="optimiser steps")
     coarse: float = Field(
-        0.5, gt=0, le=1, description="image scale at the start of the run; 1 = full size throughout"
+        0.5, gt=0, le=1, description="image scale at the start of the run; 1: full size throughout"
     )
     coarse_until: float = Field(
         0.3, ge=0, le=1, description="fraction of the run trained at the coarse scale"
@@ -129,7 +133,7 @@ class ScheduleParams(Params):
         0.65,
         ge=0,
         le=1,
-        description="fraction of the run at which surfels start anew on the field's own mesh; "
+        description="fraction of the run at which surfels are restarted on the field's own mesh; "
         "1: never",
     )
     reflect_from: float = Field(
@@ -141,78 +145,95 @@ class ScheduleParams(Params):
     local_from: float = Field(
         0.0, ge=0, le=1, description="fraction of the run after which near-field features join"
     )
-    densify_from: float = Field(0.05, ge=0, le=1, description="fraction of the run")
-    densify_until: float = Field(0.6, ge=0, le=1, description="fraction of the run")
-    densify_every: int = Field(100, ge=1, le=10_000, description="steps between densifications")
-    anneal_from: float = Field(
-        0.6, ge=0, le=1, description="fraction of the run from which steps shrink"
+    densify_from: float = Field(
+        0.05, ge=0, le=1, description="fraction of the run from which surfels are split and cloned"
     )
-    anneal_to: float = Field(0.05, gt=0, le=1, description="share of the steps left at the end")
+    densify_until: float = Field(
+        0.6, ge=0, le=1, description="fraction of the run until which surfels are split and cloned"
+    )
+    densify_every: int = Field(
+        100, ge=1, le=10_000, description="optimiser steps between splitting and cloning"
+    )
+    anneal_from: float = Field(
+        0.6, ge=0, le=1, description="fraction of the run from which learning rates shrink"
+    )
+    anneal_to: float = Field(
+        0.05, gt=0, le=1, description="share of the learning rates that is left at the end"
+    )
 
 
 class SurfelParams(Params):
     """Surfels"""
 
     max_surfels: int = Field(
-        60_000, ge=100, le=5_000_000, description="geometry surfels at most, until they start anew"
+        60_000, ge=100, le=5_000_000, description="most geometry surfels before the restart"
     )
     surfels_per_pixel: float = Field(
         1.5,
         gt=0,
         le=100,
-        description="geometry surfels at most, and twice the local ones, for each pixel that the "
-        "object covers in the mean photo",
+        description="most geometry surfels for each pixel that the object covers in the mean "
+        "photo; half as many local ones",
     )
     max_local_surfels: int = Field(
-        20_000, ge=100, le=5_000_000, description="local reflection surfels at most"
+        20_000, ge=100, le=5_000_000, description="most local reflection surfels"
     )
     densify_gradient: float = Field(
         2e-4,
         gt=0,
         le=1,
-        description="mean screen gradient (loss per half image width) to densify at",
+        description="surfels with a larger mean screen gradient are split or cloned (loss per half "
+        "image width)",
     )
     split_size: float = Field(
-        0.003, gt=0, le=1, description="surfels larger than this are split, in scene extents"
+        0.003,
+        gt=0,
+        le=1,
+        description="surfels above this size are split, others cloned, in scene extents",
     )
     prune_opacity: float = Field(
         0.2,
         ge=0,
         lt=1,
-        description="surfels fainter than this go; 0.05 at most where they start faint",
+        description="surfels below this opacity are removed; at most 0.05 where they start faint",
     )
     local_prune_opacity: float = Field(
-        0.01, ge=0, lt=1, description="local surfels fainter than this go"
+        0.01, ge=0, lt=1, description="local surfels below this opacity are removed"
     )
 
 
 class LightParams(Params):
     """Light"""
 
-    reflection: bool = Field(True, description="false: diffuse colour only, the matte control")
+    reflection: bool = Field(
+        True, description="true: model reflections; false: diffuse colour only"
+    )
     local: Literal["none", "shared", "dual"] = Field(
         "dual",
-        description="near-field reflection features: none, on geometry surfels, or on their own",
+        description="near-field reflection features. none; shared: on the geometry surfels; dual: "
+        "on surfels of their own",
     )
     mixing: Literal["adaptive", "sum"] = Field(
-        "adaptive", description="the shader sees far and near features side by side, or their sum"
+        "adaptive",
+        description="what the shader sees. adaptive: far and near features side by side; sum: "
+        "their sum",
     )
     physical: bool = Field(True, description="the shader also sees roughness and cos(normal, view)")
     environment_height: PowerOfTwo = Field(
         256,
         ge=16,
         le=1024,
-        description="rows of the Sph-Mip map, a power of two; columns are twice",
+        description="rows of the environment map (Sph-Mip), a power of two; twice as many columns",
     )
     diffuse_bias: float = Field(
-        2.0, ge=0, le=10, description="initial diffuse is exp(-bias)/5: 0 bright, 2 dark"
+        2.0, ge=0, le=10, description="diffuse colour starts at exp(-bias)/5; 0: bright, 2: dark"
     )
     turn_share: float = Field(
         0.5,
         ge=0,
         le=1,
-        description="share of a pixel's light that must be specular for what it mirrors to turn "
-        "normals in full; below it they turn less, in proportion; 0: always in full",
+        description="specular share of a pixel's light from which its mirrored direction turns "
+        "normals in full; below it in proportion; 0: always in full",
     )
 
 
@@ -221,7 +242,7 @@ class LossParams(Params):
 
     ssim_share: float = Field(0.2, ge=0, le=1, description="share of 1 - SSIM in the image loss")
     mask_weight: float = Field(
-        0.1, ge=0, le=10, description="weight of the alpha's cross-entropy against masks"
+        0.1, ge=0, le=10, description="weight of the cross-entropy of opacity against masks"
     )
     normal_weight: float = Field(
         0.2, ge=0, le=10, description="weight of the agreement of normals with depth"
@@ -230,31 +251,31 @@ class LossParams(Params):
         5.0,
         gt=0,
         le=1e6,
-        description="normals need not agree where the depth bends by more pixel footprints",
+        description="normals need not agree where depth bends by more pixel footprints than this",
     )
     distortion_weight: float = Field(
         4.0,
         ge=0,
         le=1e6,
-        description="weight of the depth distortion, of 1 / depth in units of the nearest camera's",
+        description="weight of the depth distortion: the squared spread of nearest camera / depth",
     )
     smooth_weight: float = Field(
         0.05,
         ge=0,
         le=10,
-        description="weight of normal smoothness away from diffuse and depth edges",
+        description="weight of smooth normals, except across edges of diffuse colour and depth",
     )
     specular_weight: float = Field(
         0.1,
         ge=0,
         le=10,
-        description="weight of specular radiance: what diffuse colour explains as well is diffuse",
+        description="weight of specular radiance: diffuse colour takes what it explains as well",
     )
     specular_from: float = Field(
         0.0,
         ge=0,
         le=1,
-        description="fraction of the run after which specular radiance has a weight",
+        description="fraction of the run from which specular_weight counts",
     )
 
 
@@ -262,16 +283,23 @@ class RateParams(Params):
     """Rates"""
 
     rate_means: float = Field(
-        5e-4, gt=0, le=1, description="initial step of centres, in scene extents; ends at 1/100"
+        5e-4,
+        gt=0,
+        le=1,
+        description="initial learning rate of centres, in scene extents; falls to 1/100",
     )
-    rate_opacities: float = Field(0.05, gt=0, le=1, description="step of raw opacities")
-    rate_scales: float = Field(0.005, gt=0, le=1, description="step of log scales")
-    rate_quats: float = Field(0.001, gt=0, le=1, description="step of quaternions")
-    rate_diffuse: float = Field(0.02, gt=0, le=1, description="step of raw diffuse colour")
-    rate_roughness: float = Field(0.002, gt=0, le=1, description="step of raw roughness")
-    rate_features: float = Field(0.006, gt=0, le=1, description="step of local features")
-    rate_environment: float = Field(0.006, gt=0, le=1, description="step of the Sph-Mip map")
-    rate_shader: float = Field(1.5e-3, gt=0, le=1, description="step of the shader's weights")
+    rate_opacities: float = Field(0.05, gt=0, le=1, description="learning rate of raw opacities")
+    rate_scales: float = Field(0.005, gt=0, le=1, description="learning rate of log scales")
+    rate_quats: float = Field(0.001, gt=0, le=1, description="learning rate of quaternions")
+    rate_diffuse: float = Field(0.02, gt=0, le=1, description="learning rate of raw diffuse colour")
+    rate_roughness: float = Field(0.002, gt=0, le=1, description="learning rate of raw roughness")
+    rate_features: float = Field(0.006, gt=0, le=1, description="learning rate of local features")
+    rate_environment: float = Field(
+        0.006, gt=0, le=1, description="learning rate of the environment map"
+    )
+    rate_shader: float = Field(
+        1.5e-3, gt=0, le=1, description="learning rate of the shader's weights"
+    )
 
 
 class TrainExperimentParams(Params):
@@ -281,34 +309,37 @@ class TrainExperimentParams(Params):
         0.0,
         ge=0,
         le=1,
-        description="fraction of the run after which opacities are reset to 0.01, again and again "
-        "until densify_until; 0: never",
+        description="fraction of the run between resets of opacities to 0.01, until densify_until; "
+        "0: never",
     )
     patience: float = Field(
         0.0,
         ge=0,
         le=1,
-        description="fraction of the run without gain on held-out pixels after which the rest up "
-        "to anneal_from is left out; 0 = hold nothing out and never",
+        description="fraction of the run without gain on held-out pixels after which training "
+        "jumps to anneal_from; 0: off, no pixels are held out",
     )
     patience_tolerance: float = Field(
-        0.05, ge=0, le=10, description="dB on held-out pixels that count as a gain"
+        0.05, ge=0, le=10, description="least gain on held-out pixels that counts, in dB"
     )
     exposure: Literal["fixed", "fitted"] = Field(
         "fixed",
-        description="fitted: where the background is photographed, each photo has a factor for how "
-        "bright it is; fixed: all were exposed alike",
+        description="fitted: photos without masks have a brightness factor each; fixed: all photos "
+        "were exposed alike",
     )
     exposure_weight: float = Field(
-        0.05, ge=0, le=10, description="weight of the squared logarithm of a photo's factor"
+        0.05,
+        ge=0,
+        le=10,
+        description="weight of the squared logarithm of a photo's brightness factor",
     )
     rate_exposure: float = Field(
-        0.002, gt=0, le=1, description="step of the logarithms of the photos' factors"
+        0.002, gt=0, le=1, description="learning rate of the logarithms of these factors"
     )
     poses: Literal["fixed", "refined"] = Field(
         "fixed",
-        description="refined: poses that structure from motion found are corrected on the way; "
-        "fixed: they are right",
+        description="refined: poses that structure from motion found are corrected in training; "
+        "fixed: they stay",
     )
     pose_weight: float = Field(
         1.0,
@@ -317,7 +348,7 @@ class TrainExperimentParams(Params):
         description="weight of a pose's squared correction, in radians and camera distances",
     )
     rate_poses: float = Field(
-        5e-4, gt=0, le=0.1, description="step of a pose's correction; ends at 1/100"
+        5e-4, gt=0, le=0.1, description="learning rate of a pose's correction; falls to 1/100"
     )
 
 
@@ -354,8 +385,8 @@ class RefineParams(Params):
         1.7,
         gt=0,
         le=10,
-        description="surfels that start on the mesh for each that was there, a factor",
+        description="surfels on the mesh after the restart for each one before it, a factor",
     )
     turning: float = Field(
-        0.1, ge=0, le=1, description="share of train.rate_quats that is left from then on"
+        0.1, ge=0, le=1, description="share of train.rate_quats that is left after the restart"
     )

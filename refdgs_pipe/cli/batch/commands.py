@@ -13,7 +13,7 @@ from refdgs_pipe.documents import write_json_text
 from refdgs_pipe.formatting import counted
 
 batches = typer.Typer(
-    help="Make many captures: on this machine, Slurm or Kubernetes.",
+    help="Run many captures on this machine, Slurm or Kubernetes.",
     no_args_is_help=True,
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -24,14 +24,14 @@ Folder = Annotated[Path, typer.Argument(help="the folder that `batch init` made"
 @batches.command("init")
 def init_command(
     captures: Annotated[
-        list[Path], typer.Argument(help="a folder of photos, an archive or a video for each")
+        list[Path], typer.Argument(help="for each capture, a folder or ZIP of photos, or a video")
     ],
     out: Annotated[Path, typer.Option("--out", help="the folder of the batch", metavar="DIR")],
     recipe_name: RecipeName = None,
     assignments: Assignments = None,
     cache: Cache = None,
 ) -> None:
-    """Write captures.tsv, a Snakefile and profiles to edit; or add captures to a batch."""
+    """Write captures.tsv, a Snakefile and profiles to edit. Called again, it adds captures."""
     from refdgs_pipe.cli.batch.init import init
 
     chosen = recipe_name or recipe.DEFAULT
@@ -46,24 +46,24 @@ def init_command(
 def run_command(
     batch: Folder,
     profile: Annotated[
-        str, typer.Option("--profile", help="local, slurm, kubernetes or one of yours")
+        str, typer.Option("--profile", help="local, slurm, kubernetes or your own")
     ] = "local",
     cores: Annotated[
         int, typer.Option("--cores", min=0, help="CPU cores; 0: every core of this machine")
     ] = 0,
     gpus: Annotated[
         int | None,
-        typer.Option("--gpus", min=0, help="jobs on a GPU at once [all here]"),
+        typer.Option("--gpus", min=0, help="most jobs on GPUs at once [local: all GPUs; else 0]"),
     ] = None,
     shard: Annotated[
         int, typer.Option("--shard", min=1, help="captures that Snakemake plans at once")
     ] = 1000,
     retry_failed: Annotated[
-        bool, typer.Option("--retry-failed", help="also try again what cannot work unchanged")
+        bool, typer.Option("--retry-failed", help="also try captures again that failed for good")
     ] = False,
     dry_run: DryRun = False,
 ) -> None:
-    """Bring every capture to its end; go on where it was stopped."""
+    """Run every capture that is not finished. The same command resumes."""
     from refdgs_pipe.cli.batch.run import Plan, exit_code, run, summary
     from refdgs_pipe.cli.batch.table import Batch
 
@@ -94,10 +94,12 @@ def step_command(
 @batches.command("status")
 def status_command(
     batch: Folder,
-    every: Annotated[bool, typer.Option("--all", help="also what is done or waits")] = False,
+    every: Annotated[
+        bool, typer.Option("--all", help="also list captures that are done or waiting")
+    ] = False,
     as_json: Json = False,
 ) -> None:
-    """Say how the captures stand: done, running, waiting, to retry or failed, and why."""
+    """Say how many captures are done, running, waiting or failed. Name those to look at."""
     from refdgs_pipe.cli.batch import standing
     from refdgs_pipe.cli.batch.table import Batch
 
@@ -113,10 +115,10 @@ def status_command(
 def report_command(
     batch: Folder,
     out: Annotated[
-        Path | None, typer.Option("--out", help="another file [BATCH/report.html]", metavar="FILE")
+        Path | None, typer.Option("--out", help="file to write [BATCH/report.html]", metavar="FILE")
     ] = None,
 ) -> None:
-    """Write one page: a table to sort, and a picture of each asset that leads to its report."""
+    """Write one page with a table and pictures of all assets. They link to the reports."""
     from refdgs_pipe.cli.batch.page import write
     from refdgs_pipe.cli.batch.table import Batch
 
