@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from refdgs_pipe.camera import F64
 
+FARTHEST_RAY = 1e3  # x / z, beyond which a lens gone astray gave it
 LEAST_ANGLE = np.radians(1.5)  # between the other photos' rays to a point
 LEAST_POINTS = 6  # that place a photo
 OUTLIER_PX = 2.0  # misses beyond this weigh less (Huber)
@@ -48,6 +49,7 @@ def moves(cam_from_world: F64, points: F64, sights: Sights, pixel: F64) -> F64:
         (k,) shift of the centre as a share of the median distance to the points; infinite where
         the other photos give too few points, or put most of them behind the camera.
     """
+    sights = _finite(cam_from_world, points, sights)
     R, t = cam_from_world[:, :3, :3], cam_from_world[:, :3, 3]
     centers = -np.einsum("kji,kj->ki", R, t)
     rays = np.concatenate([sights.ray, np.ones((len(sights.ray), 1))], 1)
@@ -78,6 +80,13 @@ def moves(cam_from_world: F64, points: F64, sights: Sights, pixel: F64) -> F64:
         center = -pose[:3, :3].T @ pose[:3, 3]
         found[k] = np.linalg.norm(center - centers[k]) / np.median(away[mine])
     return found
+
+
+def _finite(cam_from_world: F64, points: F64, sights: Sights) -> Sights:
+    """The sights without those that a mapper or a lens gone astray left without a number."""
+    good = (np.abs(sights.ray) < FARTHEST_RAY).all(1) & np.isfinite(points[sights.point]).all(1)
+    good &= np.isfinite(cam_from_world).all((1, 2))[sights.photo]
+    return Sights(sights.photo[good], sights.point[good], sights.ray[good])
 
 
 def _placed(cam_from_world: F64, points: F64, ray: F64, outlier: float) -> F64:

@@ -66,3 +66,14 @@ def test_points_behind_a_camera_do_not_confirm_its_place() -> None:
     poses, points, sights = scene()
     poses[4, :3] = np.diag([1.0, -1.0, -1.0]) @ poses[4, :3]
     assert np.isinf(moves(poses, points, sights, PIXEL)[4])
+
+
+def test_rays_and_points_without_a_number_are_left_out() -> None:
+    """A mapper's lens can go astray so far that pixels have no ray."""
+    poses, points, sights = scene()
+    sights.ray[np.flatnonzero(sights.photo == 2)[:9]] = np.nan
+    sights.ray[np.flatnonzero(sights.photo == 3)[:9]] = 1e200
+    points[20] = np.inf
+    poses[6, 0, 3] = np.nan
+    found = moves(poses, points, sights, PIXEL)
+    assert np.isinf(found[6]) and (np.delete(found, 6) < 0.01).all()
