@@ -85,7 +85,8 @@ def moves(cam_from_world: F64, points: F64, sights: Sights, pixel: F64) -> F64:
 def _finite(cam_from_world: F64, points: F64, sights: Sights) -> Sights:
     """The sights without those that a mapper or a lens gone astray left without a number."""
     good = (np.abs(sights.ray) < FARTHEST_RAY).all(1) & np.isfinite(points[sights.point]).all(1)
-    good &= np.isfinite(cam_from_world).all((1, 2))[sights.photo]
+    whole = np.asarray(np.isfinite(cam_from_world).all(axis=(1, 2)))
+    good &= whole[sights.photo]
     return Sights(sights.photo[good], sights.point[good], sights.ray[good])
 
 

@@ -11,18 +11,23 @@ class GateParams(Params):
     """What is asked of the places. A given up axis or ball is in the frame of the result."""
 
     min_trusted: float = Field(
-        0.7, ge=0, le=1, description="share of the photos that need a trusted place"
+        0.7, ge=0, le=1, description="least share of photos whose camera must be found and trusted"
     )
     ground: bool = Field(
-        True, description="refine poses with the texture of the plane that the object stands on"
+        True, description="refine camera poses with the texture of the plane below the object"
     )
-    up: Point | None = Field(None, description="up axis, a direction; none finds it")
-    ball_center: Point | None = Field(None, description="object ball's centre, world units")
-    ball_radius: float | None = Field(None, gt=0, description="object ball's radius, world units")
+    up: Point | None = Field(None, description="up direction, in world axes; unset: found")
+    ball_center: Point | None = Field(
+        None, description="object ball's centre, in world units; unset: found"
+    )
+    ball_radius: float | None = Field(
+        None, gt=0, description="object ball's radius, in world units; unset: found"
+    )
     distance: str = Field(
         "",
         max_length=2000,
-        description="two points marked in photos, in pixels, and metres between them; empty: none",
+        description="two points, marked in photos in pixels, and their distance in metres; "
+        "empty: none",
     )
 
     @field_validator("up")

@@ -99,6 +99,27 @@ def dots(seed: int, n: int = 2048) -> np.ndarray:
 
 
 # ---- rooms
+def vinyl(seed: int, n: int = 2048) -> np.ndarray:
+    """Printed black and white checks, all exactly equal."""
+    u, v = uvgrid(n)
+    dark = (np.floor(u * 24) + np.floor(v * 24)) % 2 > 0
+    return np.where(dark[..., None], 0.06, 0.7) * np.ones(3)
+
+
+def bricks(seed: int, n: int = 2048) -> np.ndarray:
+    """Red bricks in a running bond; their tone differs a little."""
+    rng = np.random.default_rng(seed)
+    u, v = uvgrid(n)
+    rows, columns = 28, 11
+    row = np.floor(v * rows).astype(int)
+    x = u * columns + 0.5 * (row % 2)
+    tone = rng.normal(1.0, 0.08, (rows, columns + 1))[row, np.floor(x).astype(int)]
+    rough = 1 + 0.12 * tex_noise(u, v, 130, seed + 1, 2)
+    brick = (tone * rough)[..., None] * LIN("9a4a35")
+    mortar = ((v * rows) % 1 < 0.13) | (x % 1 < 0.06)
+    return np.clip(np.where(mortar[..., None], LIN("b5aca0"), brick), 0.01, 0.9)
+
+
 def _rooms() -> None:
     muted, vivid = env.MUTED, env.VIVID
 

@@ -1,4 +1,4 @@
-"""The captures: some for choosing limits, six for checking only."""
+"""The captures: some for choosing limits, the others for checking only."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -65,4 +65,9 @@ RECIPES = {
     "lacquer": Recipe(
         o.lacquer_box, papers, "square", p.three_quarters, seed=25, checking=True, drift=0.05
     ),
+    "jar": Recipe(o.tin, p.tiles, "square", p.rings, seed=33, size=UPRIGHT, **PHONE),
+    "steel": Recipe(o.nut, p.tablecloth, "office", p.spiral, seed=35, checking=True, drift=0.05),
+    "vinyl": Recipe(o.white_jug, p.vinyl, "office", p.rings, seed=39, checking=True),
+    "brick": Recipe(o.mirror_box, p.bricks, "square", p.spiral, seed=41, checking=True),
+    "case": Recipe(o.lacquer_box, p.dots, "attic", p.three_quarters, seed=37, checking=True),
 }

@@ -1,21 +1,27 @@
-"""How all photos lie on one ground, from how pairs of them lie on each other.
+"""How all photos lie on one ground, from what each pair of them says.
 
-A pair counts where its best fit stands out. The strongest pairs lay the photos out; then each photo
-moves to where most of its pairs put it, and stays only where enough of them agree.
+One pair seldom decides. So photos are added one by one, each where all photos that lie already
+say most for it, the clearest first. A photo stays if the others together put it there once more,
+clearly; a group stays with the rest only if what crosses between them puts it there clearly.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from refdgs_pipe.camera import F64
-from refdgs_pipe.sfm.pattern.pairs import DECIDES, Overlay, turn
+from refdgs_pipe.sfm.pattern.cells import turn
+from refdgs_pipe.sfm.pattern.pairs import REACH, SHIFTS, Evidence
 
-CLOSE = 0.3  # cells between two ideas of the same place
-ROUNDS = 10
-CONFIRMED = 3  # pairs that have to agree on a photo's place
-AGREEING = 0.75  # of its pairs that count
+F32 = NDArray[np.float32]
+Pairs = Mapping[tuple[int, int], Evidence]
+
+DECIDES = 1.5  # times what speaks for the next best place, that has to speak for the best
+CONFIRMED = 3  # photos that each have to say more for a place
+SAYS = 4.0  # than chance does
+ROUNDS = 6
 
 
 @dataclass(frozen=True)
@@ -26,107 +32,197 @@ class Laid:
     shift: F64
 
 
-def laid_out(count: int, overlays: Mapping[tuple[int, int], Overlay]) -> dict[int, Laid]:
-    """The photos that several others confirm; photo -> its place. The first one's frame is kept
-    up to a turn and a shift.
+def laid_out(middles: F64, pairs: Pairs, offsets: Mapping[int, F64]) -> dict[int, Laid]:
+    """The photos that the others confirm; photo -> its place. The first one's frame is kept.
 
     Args:
-        count: of photos; overlays: (a, b) with a < b -> how b lies on a.
+        middles: (n, 2) of each photo's cells; pairs: (a, b) with a < b -> how b may lie on a.
+        offsets: quarter turns -> (2,) what a shift is beside whole cells.
     """
-    ties = {pair: o for pair, o in overlays.items() if o.ratio > DECIDES}
-    laid = _spanned(count, ties)
+    if not pairs:
+        return {}
+    ground = _Ground(middles, pairs, offsets)
+    laid = ground.grown(max(sorted(pairs), key=lambda pair: _lead(pairs[pair]))[0])
     for _ in range(ROUNDS):
-        moved = {k: _voted(k, laid, ties) or place for k, place in laid.items()}
+        moved = {k: ground.best(ground.said(k, laid)).place for k in laid}
         if all(_same(moved[k], laid[k]) for k in laid):
             break
         laid = moved
-    while True:
-        weak = {k: _doubt(k, laid, ties) for k in laid}
-        worst = max(weak, key=lambda k: weak[k], default=None)
-        if worst is None or weak[worst] <= 0:
-            break
-        del laid[worst]
-    return _evened(laid, ties)
-
-
-def _from(
-    a: int, b: int, laid: Mapping[int, Laid], ties: Mapping[tuple[int, int], Overlay]
-) -> Laid:
-    """Where photo b lies, as photo a and their pair say."""
-    if (a, b) in ties:
-        tie = ties[a, b]
-        turns, shift = tie.turns, tie.shift
-    else:
-        tie = ties[b, a]
-        turns = -tie.turns % 4
-        shift = -turn(turns) @ tie.shift
-    place = laid[a]
-    return Laid((place.turns + turns) % 4, turn(place.turns) @ shift + place.shift)
+    while len(laid) > CONFIRMED:
+        doubts = {k: ground.stands(k, laid) for k in laid}
+        weakest = min(doubts, key=lambda k: doubts[k])
+        if doubts[weakest] >= DECIDES:
+            part = ground.loose_part(laid)
+            if not part:
+                return laid
+            laid = {k: place for k, place in laid.items() if k not in part}
+        else:
+            del laid[weakest]
+    return {}
 
 
 def _same(one: Laid, other: Laid) -> bool:
-    return one.turns == other.turns and bool(np.abs(one.shift - other.shift).max() < CLOSE)
+    return one.turns == other.turns and bool(np.abs(one.shift - other.shift).max() < 0.5)
 
 
-def _partners(
-    k: int, laid: Mapping[int, Laid], ties: Mapping[tuple[int, int], Overlay]
-) -> list[int]:
-    return [o for o in laid if o != k and (min(o, k), max(o, k)) in ties]
+def _lead(pair: Evidence) -> float:
+    """How far the best place is before the next."""
+    values = np.concatenate([table.ravel() for table in pair.table.values()])
+    second, first = np.partition(values, -2)[-2:]
+    return float(first - second)
 
 
-def _spanned(count: int, ties: Mapping[tuple[int, int], Overlay]) -> dict[int, Laid]:
-    """The largest set of photos that pairs join, laid out along the strongest (Prim 1957)."""
-    best: dict[int, Laid] = {}
-    left = set(range(count))
-    while left:
-        start = max(left, key=lambda k: (sum(k in pair for pair in ties), -k))
-        laid = {start: Laid(0, np.zeros(2))}
-        while True:
-            edges = [p for p in ties if (p[0] in laid) != (p[1] in laid)]
-            if not edges:
-                break
-            a, b = max(edges, key=lambda p: ties[p].ratio)
-            a, b = (a, b) if a in laid else (b, a)
-            laid[b] = _from(a, b, laid, ties)
-        left -= set(laid)
-        best = max(best, laid, key=len)
-    return best
+@dataclass(frozen=True)
+class _Best:
+    """The place that most speaks for, what speaks for it, and what for the next best."""
+
+    place: Laid
+    first: float
+    second: float
+
+    @property
+    def clearness(self) -> float:
+        return self.first / max(self.second, 1e-6) if self.first > 0 else 0.0
 
 
-def _voted(
-    k: int, laid: Mapping[int, Laid], ties: Mapping[tuple[int, int], Overlay]
-) -> Laid | None:
-    """Where most of a photo's pairs put it, each as strong as its fit stands out."""
-    said = [
-        (_from(o, k, laid, ties), ties[min(o, k), max(o, k)].ratio - 1)
-        for o in _partners(k, laid, ties)
-    ]
-    if not said:
-        return None
-    return max(said, key=lambda one: sum(w for place, w in said if _same(place, one[0])))[0]
+@dataclass(frozen=True)
+class _Said:
+    """What speaks for each place: quarter turns -> (SHIFTS, SHIFTS) from a least shift (2,) on."""
+
+    start: dict[int, F64]
+    table: dict[int, F32]
 
 
-def _doubt(k: int, laid: Mapping[int, Laid], ties: Mapping[tuple[int, int], Overlay]) -> float:
-    """How much speaks against a photo's place; 0 or less where it is confirmed."""
-    partners = _partners(k, laid, ties)
-    agree = sum(_same(_from(o, k, laid, ties), laid[k]) for o in partners)
-    if agree < CONFIRMED:
-        return 2.0 - agree / CONFIRMED
-    return AGREEING - agree / len(partners)
+class _Ground:
+    """What all pairs say. Tables grow from a seed photo, whose frame is the ground's."""
 
+    def __init__(self, middles: F64, pairs: Pairs, offsets: Mapping[int, F64]) -> None:
+        self.middles, self.pairs, self.offsets = middles, pairs, offsets
+        steps = np.arange(SHIFTS)
+        self.grid = np.stack(np.meshgrid(steps, steps), -1)
+        self.seed = 0
 
-def _evened(laid: dict[int, Laid], ties: Mapping[tuple[int, int], Overlay]) -> dict[int, Laid]:
-    """The same with shifts that fit all agreeing pairs best, by least squares."""
-    photos = sorted(laid)
-    row = {k: i for i, k in enumerate(photos)}
-    lines, values = [], []
-    for a, b in ties:
-        if a in laid and b in laid and _same(_from(a, b, laid, ties), laid[b]):
-            line = np.zeros(len(photos))
-            line[row[b]], line[row[a]] = 1.0, -1.0
-            lines.append(line)
-            values.append(turn(laid[a].turns) @ ties[a, b].shift)
-    if not lines:
+    def grown(self, seed: int) -> dict[int, Laid]:
+        """All photos, added one by one to a first."""
+        self.seed = seed
+        laid = {seed: Laid(0, np.zeros(2))}
+        sums = {k: self._empty(k) for k in range(len(self.middles)) if k != seed}
+        newest = seed
+        while sums:
+            for k, said in sums.items():
+                self._add(said, k, newest, laid[newest])
+            bests = {k: self.best(said) for k, said in sums.items()}
+            newest = max(bests, key=lambda k: bests[k].first - bests[k].second)
+            laid[newest] = bests[newest].place
+            del sums[newest]
         return laid
-    found = np.linalg.lstsq(np.stack(lines), np.stack(values), rcond=None)[0]
-    return {k: Laid(laid[k].turns, found[row[k]]) for k in photos}
+
+    def said(self, k: int, laid: Mapping[int, Laid]) -> _Said:
+        """What the laid photos, without itself, say about a photo's place."""
+        said = self._empty(k)
+        for other, place in laid.items():
+            if other != k:
+                self._add(said, k, other, place)
+        return said
+
+    def best(self, said: _Said) -> _Best:
+        first, second, place = -np.inf, -np.inf, Laid(0, np.zeros(2))
+        for k, table in said.table.items():
+            top = np.partition(table.ravel(), -2)[-2:]
+            if top[1] > first:
+                second = max(first, float(top[0]))
+                row, column = np.unravel_index(int(table.argmax()), table.shape)
+                first, place = float(top[1]), Laid(k, said.start[k] + np.array([column, row]))
+            else:
+                second = max(second, float(top[1]))
+        return _Best(place, first, second)
+
+    def stands(self, k: int, laid: Mapping[int, Laid]) -> float:
+        """How clearly the others put a photo where it lies; 0 if elsewhere, or if few say so."""
+        best, mine = self.best(self.said(k, laid)), laid[k]
+        said = [
+            float(self._pair(other, k, place, mine.turns, mine.shift))
+            for other, place in laid.items()
+            if other != k
+        ]
+        few = sum(value > SAYS for value in said) < CONFIRMED
+        return 0.0 if few or not _same(best.place, mine) else best.clearness
+
+    def loose_part(self, laid: Mapping[int, Laid]) -> set[int]:
+        """The smaller part of the photos beside a cut that does not hold; empty if all hold.
+
+        The cuts are those of the tree of the strongest pairs (Prim 1957). A cut holds if all
+        pairs across it together say clearly that its parts lie on each other as they do.
+        """
+        loosest, part = DECIDES, set[int]()
+        for group in self._branches(laid):
+            smaller = min(group, set(laid) - group, key=lambda g: (len(g), sorted(g)))
+            clear = self._holds(smaller, laid)
+            if clear < loosest:
+                loosest, part = clear, smaller
+        return part
+
+    def _holds(self, part: set[int], laid: Mapping[int, Laid]) -> float:
+        """How clearly the pairs across say that a part is not turned or moved as a whole."""
+        rest = [k for k in laid if k not in part]
+        tables = {k: np.zeros((SHIFTS, SHIFTS), np.float32) for k in self.offsets}
+        pivot = self.middles[min(part)]
+        anchor = laid[min(part)]
+        centre = turn(anchor.turns) @ pivot + anchor.shift
+        for k, table in tables.items():
+            offset = self.offsets[k] + np.round(centre - turn(k) @ centre - self.offsets[k])
+            whole = self.grid - REACH + (offset if k else np.zeros(2))
+            for b in sorted(part):
+                place = laid[b]
+                moved = whole + turn(k) @ place.shift
+                for a in rest:
+                    table += self._pair(a, b, laid[a], (k + place.turns) % 4, moved)
+        now = float(tables[0][REACH, REACH])
+        tables[0][REACH, REACH] = -np.inf
+        other = max(float(table.max()) for table in tables.values())
+        return now / max(other, 1e-6) if now > 0 else 0.0
+
+    def _branches(self, laid: Mapping[int, Laid]) -> list[set[int]]:
+        """The parts of the photos beside each edge of the tree of the strongest pairs."""
+        photos = sorted(laid)
+        strength = {
+            (a, b): float(self._pair(a, b, laid[a], laid[b].turns, laid[b].shift))
+            for i, a in enumerate(photos)
+            for b in photos[i + 1 :]
+        }
+        parent: dict[int, int] = {}
+        inside = {photos[0]}
+        while len(inside) < len(photos):
+            edges = [pair for pair in strength if (pair[0] in inside) != (pair[1] in inside)]
+            a, b = max(edges, key=lambda pair: strength[pair])
+            a, b = (a, b) if a in inside else (b, a)
+            parent[b] = a
+            inside.add(b)
+        below: dict[int, set[int]] = {k: {k} for k in photos}
+        for k in reversed(list(parent)):  # those added last are nobody's parents before them
+            below[parent[k]] |= below[k]
+        return [below[k] for k in parent]
+
+    def _empty(self, k: int) -> _Said:
+        start, table = {}, {}
+        for quarters, offset in self.offsets.items():
+            near = self.middles[self.seed] - turn(quarters) @ self.middles[k]
+            start[quarters] = offset + np.round(near - offset) - REACH
+            table[quarters] = np.zeros((SHIFTS, SHIFTS), np.float32)
+        return _Said(start, table)
+
+    def _add(self, said: _Said, k: int, other: int, place: Laid) -> None:
+        for quarters, table in said.table.items():
+            table += self._pair(other, k, place, quarters, self.grid + said.start[quarters])
+
+    def _pair(self, a: int, b: int, place: Laid, quarters: int, shifts: F64) -> F32:
+        """(...) what speaks for b on the ground turned and moved by shifts (..., 2), a lying there
+        as it does."""
+        relative = (quarters - place.turns) % 4
+        moved = (shifts - place.shift) @ turn(place.turns)  # the turn back, from the left
+        if (a, b) in self.pairs:
+            return self.pairs[a, b].at(relative, moved)
+        if (b, a) in self.pairs:
+            back = -relative % 4
+            return self.pairs[b, a].at(back, -(moved @ turn(back).T))
+        return np.zeros(shifts.shape[:-1], np.float32)

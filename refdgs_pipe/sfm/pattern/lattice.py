@@ -2,7 +2,7 @@
 
 Points that look like each other and repeat give a first cell of four; the homography from cells to
 pixels grows from it node by node (as in Park, Brocklehurst, Collins and Liu 2009), and the growth
-that finds the most nodes is kept.
+that fills most of the photo with nodes is kept.
 """
 
 from dataclasses import dataclass
@@ -51,6 +51,12 @@ class Lattice:
         nodes = np.asarray(np.linalg.solve(basis, self.nodes.T).T, np.float64)
         return Lattice(self.pixels_from_cells @ wide, nodes, self.pixels)
 
+    def moved(self, by: F64) -> "Lattice":
+        """The same ground, its cells counted from elsewhere: new = old + by (2,)."""
+        back = np.eye(3)
+        back[:2, 2] = -by
+        return Lattice(self.pixels_from_cells @ back, self.nodes + by, self.pixels)
+
 
 def mapped(homography: F64, points: F64) -> F64:
     """(n, 2) the points (n, 2) through a homography (3, 3)."""
@@ -59,7 +65,7 @@ def mapped(homography: F64, points: F64) -> F64:
 
 
 def find_lattice(grey: U8) -> Lattice | None:
-    """The lattice with the most nodes in a photo (H, W), sRGB-encoded; None without one.
+    """The lattice that fills most of a photo (H, W), sRGB-encoded; None without one.
 
     Its first basis vector turns clockwise to the second, as seen in the photo.
     """
@@ -83,7 +89,7 @@ def find_lattice(grey: U8) -> Lattice | None:
             if found is None:
                 continue
             recall = min(1.0, _recall(found.nodes))
-            figure = len(found.nodes) * recall**2
+            figure = len(found.nodes) * np.sqrt(_area(found.pixels)) * recall**2
             if recall > LEAST_RECALL and (best is None or figure > best[0]):
                 best = figure, found
     if best is None or len(best[1].nodes) < LEAST_NODES:
@@ -157,6 +163,11 @@ def _grown(homography: F64, points: F64, scale: float) -> Lattice | None:
         best = Lattice(homography, nodes, points[rows])
         reach *= WIDER if step else 1.0
     return best
+
+
+def _area(pixels: F64) -> float:
+    """Of the hull of some points (n, 2). The floor behind a table may have more, smaller cells."""
+    return float(cv2.contourArea(cv2.convexHull(pixels.astype(np.float32))))
 
 
 def _recall(nodes: F64) -> float:

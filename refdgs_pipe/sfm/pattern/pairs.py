@@ -1,4 +1,9 @@
-"""Two views of a repeating ground laid on each other by what does not repeat on it."""
+"""How much speaks for each way in which two photos of a repeating ground may lie on each other.
+
+The cells of two photos lie as x_one = R x_other + shift, R a quarter turn that leaves the pattern
+as it is, the shift whole cells beside a known offset. Two things are held against each other for
+all of them: what does not repeat on the ground, and features beside it.
+"""
 
 from dataclasses import dataclass
 
@@ -7,84 +12,131 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from refdgs_pipe.camera import F64
+from refdgs_pipe.sfm.pattern.beside import Beside, agreeing, matches
+from refdgs_pipe.sfm.pattern.cells import turn
 from refdgs_pipe.sfm.pattern.topview import SIDE, TopView
 
+F32 = NDArray[np.float32]
 C64 = NDArray[np.complex64]
 
 PADDED = 2 * SIDE
+REACH = 24  # cells that one photo's middle may lie from the other's
+SHIFTS = 2 * REACH + 1
 LEAST_OVERLAP = 12.0  # cells that both show
-DECIDES = 1.3  # times the second best fit, that the best one has to reach
-BESIDE = 3  # px round the best fit that are not another fit
+LEAST_PLACES = 50  # with such an overlap, that tell how much chance says
+LEAST_SPREAD = 1.0  # of what chance says, as if the pixels had nothing to do with each other
 
 
 @dataclass(frozen=True)
-class Overlay:
-    """How the second of two photos lies on the first.
+class Look:
+    """A photo for comparing.
 
     Args:
-        turns: quarter turns of its cells; shift: (2,) cells: x_one = R x_other + shift.
-        fit: correlation times the root of the pixels that both show; ratio: to the next best.
+        view: the ground from above, without what repeats; middle: (2,) of its cells.
+        turned: quarter turns -> its values, where they are known, and their squares, in the
+            Fourier domain.
     """
 
-    turns: int
-    shift: F64
-    fit: float
-    ratio: float
-
-
-@dataclass(frozen=True)
-class Spectra:
-    """A view from above, turned by each of some quarter turns, in the Fourier domain."""
-
     view: TopView
+    middle: F64
+    beside: Beside
     turned: dict[int, tuple[C64, C64, C64]]
 
 
-def turn(quarters: int) -> F64:
-    """(2, 2) what `np.rot90` does to x and y."""
-    return np.asarray(np.linalg.matrix_power(np.array([[0.0, 1.0], [-1.0, 0.0]]), quarters))
+@dataclass(frozen=True)
+class Evidence:
+    """What speaks for each place of a photo's cells on another's.
+
+    Args:
+        start: quarter turns -> (2,) the least shift; the others are whole cells from there.
+        table: quarter turns -> (SHIFTS, SHIFTS) rows y, columns x, about 1 where nothing but
+            chance speaks for a place.
+    """
+
+    start: dict[int, F64]
+    table: dict[int, F32]
+
+    def at(self, quarters: int, shifts: F64) -> F32:
+        """(...) for shifts (..., 2) that lie at most half a cell beside those of the table."""
+        if quarters not in self.table:
+            return np.zeros(shifts.shape[:-1], np.float32)
+        steps = np.round(shifts - self.start[quarters]).astype(int)
+        inside = ((steps >= 0) & (steps < SHIFTS)).all(-1)
+        steps = np.clip(steps, 0, SHIFTS - 1)
+        return np.where(inside, self.table[quarters][steps[..., 1], steps[..., 0]], np.float32(0))
 
 
-def spectra(view: TopView, turns: tuple[int, ...], threads: int) -> Spectra:
-    """Of the values, of where they are known, and of their squares."""
+def look_of(
+    view: TopView, middle: F64, beside: Beside, turns: tuple[int, ...], threads: int
+) -> Look:
+    """A photo, ready to be compared after each of some quarter turns."""
 
-    def of(a: NDArray[np.float32]) -> C64:
+    def of(a: F32) -> C64:
         return np.asarray(fft.rfft2(a, (PADDED, PADDED), workers=threads), np.complex64)
 
     turned = {}
     for k in turns:
         values, known = np.rot90(view.values, k), np.rot90(view.known, k)
         turned[k] = of(values), of(known), of(values * values)
-    return Spectra(view, turned)
+    return Look(view, middle, beside, turned)
 
 
-def overlay(one: Spectra, other: Spectra, cell: int, threads: int) -> Overlay | None:
-    """The best place of the second view on the first; None if they cannot overlap.
+def evidence(one: Look, other: Look, offsets: dict[int, F64], cell: int, threads: int) -> Evidence:
+    """All ways in which the second photo may lie on the first.
 
-    Normalised correlation of all shifts at once, each view only where it is known (Padfield 2012).
+    Args:
+        offsets: quarter turns -> (2,) what the shift is beside whole cells.
     """
+    start = {}
+    for k, offset in offsets.items():
+        near = one.middle - turn(k) @ other.middle
+        start[k] = offset + np.round(near - offset) - REACH
+    ground = _on_the_ground(one, other, start, cell, threads)
+    matched = matches(one.beside, other.beside)
+    if matched is None:
+        return Evidence(start, ground)
+    steps = np.arange(SHIFTS)
+    grid = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2)
+    counts = {
+        k: agreeing(one.beside, other.beside, matched, k, grid + least).reshape(SHIFTS, SHIFTS)
+        for k, least in start.items()
+    }
+    chance = float(np.mean([c.mean() for c in counts.values()]))
+    both = {k: ground[k] + (counts[k] - chance) / np.sqrt(chance + 1) for k in start}
+    return Evidence(start, {k: np.asarray(table, np.float32) for k, table in both.items()})
+
+
+def _on_the_ground(
+    one: Look, other: Look, start: dict[int, F64], cell: int, threads: int
+) -> dict[int, F32]:
+    """Normalised correlation of the two views from above, each only where it is known
+    (Padfield 2012), times the root of the overlap, by its spread over all places."""
     values, known, squares = one.turned[0]
 
-    def back(a: C64) -> NDArray[np.float32]:
+    def back(a: C64) -> F32:
         found = fft.irfft2(a, (PADDED, PADDED), workers=threads, overwrite_x=True)
         return np.asarray(found, np.float32)
 
+    steps = np.arange(SHIFTS)
+    grid = np.stack(np.meshgrid(steps, steps), -1)
     fits = {}
     for k, (v, m, s) in other.turned.items():
         overlap = back(known * m.conj())
         energy = back(squares * m.conj()) * np.maximum(back(known * s.conj()), 0)
         like = back(values * v.conj()) / np.sqrt(np.maximum(energy, 1.0))
         enough = overlap > LEAST_OVERLAP * cell**2
-        fits[k] = np.where(enough, like * np.sqrt(np.maximum(overlap, 0)), -1.0)
-    best = max(fits, key=lambda k: float(fits[k].max()))
-    row, column = np.unravel_index(int(fits[best].argmax()), (PADDED, PADDED))
-    fit = float(fits[best][row, column])
-    if fit <= 0:
-        return None
-    beside = (np.arange(-BESIDE, BESIDE + 1) + row) % PADDED
-    fits[best][np.ix_(beside, (np.arange(-BESIDE, BESIDE + 1) + column) % PADDED)] = -1.0
-    second = max(float(f.max()) for f in fits.values())
-    moved = np.array([column, row], float)
-    moved[moved >= SIDE] -= PADDED
-    shift = one.view.origin + moved / cell - turn(best) @ other.view.origin
-    return Overlay(best, shift, fit, fit / max(second, 1e-6))
+        fit = np.where(enough, like * np.sqrt(np.maximum(overlap, 0)), np.nan)
+        moved = (grid + start[k] - one.view.origin + turn(k) @ other.view.origin) * cell
+        pixels = np.round(moved).astype(int)
+        inside = (np.abs(pixels) < SIDE - 1).all(-1)
+        best = np.full(inside.shape, np.nan, np.float32)
+        for x in (-1, 0, 1):  # the lattices fit to about a pixel from above
+            for y in (-1, 0, 1):
+                near = (pixels + np.array([x, y])) % PADDED
+                best = np.fmax(best, np.where(inside, fit[near[..., 1], near[..., 0]], np.nan))
+        fits[k] = best
+    said = np.concatenate([fit[np.isfinite(fit)] for fit in fits.values()])
+    if len(said) < LEAST_PLACES:
+        return {k: np.zeros_like(fit) for k, fit in fits.items()}
+    spread = max(1.4826 * float(np.median(np.abs(said - np.median(said)))), LEAST_SPREAD)
+    return {k: np.nan_to_num(fit / spread, nan=0.0) for k, fit in fits.items()}

@@ -1,8 +1,9 @@
 """Photos of an object on a ground that repeats, placed by that ground.
 
 Checks, tiles and dots mislead features: their matches agree on places that are one period off.
-Here the repeats give each photo's view of the ground, and what does not repeat (stains, threads,
-shadows) tells how the photos lie on each other. Several others have to confirm each photo.
+Here the repeats give each photo's camera over the ground, up to quarter turns and whole periods.
+What does not repeat (stains, threads, shadows) and features beside the ground (object, room) tell
+which of these it is. All photos together have to say so clearly.
 """
 
 from collections.abc import Callable, Iterable
@@ -13,13 +14,16 @@ from pathlib import Path
 
 import numpy as np
 
-from refdgs_pipe.camera import F64
+from refdgs_pipe.camera import F64, Lens
+from refdgs_pipe.files.colmap import opencv_lens
 from refdgs_pipe.files.images import read_png
 from refdgs_pipe.mat.detection import Seen, eight_bit_grey
 from refdgs_pipe.sfm.mat_pose import posed_on_plane
+from refdgs_pipe.sfm.pattern.beside import features_beside
+from refdgs_pipe.sfm.pattern.cells import shared_cell, turn
 from refdgs_pipe.sfm.pattern.graph import Laid, laid_out
 from refdgs_pipe.sfm.pattern.lattice import Lattice, find_lattice, mapped
-from refdgs_pipe.sfm.pattern.pairs import Overlay, overlay, spectra, turn
+from refdgs_pipe.sfm.pattern.pairs import Evidence, Look, evidence, look_of
 from refdgs_pipe.sfm.pattern.topview import (
     CELL_PX,
     SMALLER,
@@ -37,6 +41,8 @@ LEAST_SHARE = 0.5  # of the photos with a lattice
 SPAN_DEG = 120.0
 SQUARE = 0.06  # of the sides and of their angle: so far a lattice is square
 WITHOUT_EXIF = 1.2  # focal length by the long side
+ALL_PAIRS = 60  # photos of which each is compared with each; of more, with its
+NEIGHBOURS = 20  # neighbours in the order of the files, and some others
 
 
 @dataclass(frozen=True)
@@ -73,16 +79,34 @@ def placed_by_pattern(
     """
     group = max(shots, key=lambda one: len(one.files))
     files = sorted(group.files)
-    grounds = _settled(_lattices(folder, files, threads), group)
-    if len(grounds) < max(3, LEAST_SHARE * len(files)):
+    least = max(3, LEAST_SHARE * len(files))
+    inverse = np.asarray(np.linalg.inv(_intrinsics(group)), np.float64)
+    grounds = _settled(_lattices(folder, files, threads), inverse)
+    if len(grounds) < least:
         return None
-    metric = _metric(grounds, _intrinsics(group))
+    cell = _cell(grounds)
+    shared = shared_cell([g.lattice for g in grounds], [g.grey for g in grounds], inverse, cell)
+    if shared is None or len(shared.lattices) < least:
+        return None
+    grounds = [
+        _Ground(grounds[k].file, grounds[k].grey, shared.lattices[k]) for k in shared.lattices
+    ]
+    metric = _metric(grounds, inverse)
     is_square = bool(np.abs(metric - np.eye(2)).max() < SQUARE)
-    turns = (0, 1, 2, 3) if is_square else (0, 2)
-    laid = laid_out(len(grounds), _overlays(grounds, turns, threads, told))
-    if len(laid) < max(3, LEAST_SHARE * len(files)):
+    metric = np.eye(2) if is_square else metric
+    offsets = {k: by for k, by in shared.offsets.items() if is_square or k % 2 == 0}
+    alone = _posed(grounds, {k: Laid(0, np.zeros(2)) for k in range(len(grounds))}, metric, group)
+    if alone is None:
         return None
-    poses = _posed(grounds, laid, np.eye(2) if is_square else metric, group)
+    grounds = [g for g in grounds if g.file in alone.cam_from_world]
+    if len(grounds) < least:
+        return None
+    looks = _looks(grounds, alone, shared.median, tuple(offsets), threads)
+    middles = np.stack([look.middle for look in looks])
+    laid = laid_out(middles, _compared(looks, offsets, cell, threads, told), offsets)
+    if len(laid) < least:
+        return None
+    poses = _posed(grounds, laid, metric, group)
     return poses if poses is not None and _span(poses) > SPAN_DEG else None
 
 
@@ -96,9 +120,12 @@ def _lattices(folder: Path, files: Iterable[str], threads: int) -> list[_Ground]
         return [ground for ground in pool.map(look, files) if ground is not None]
 
 
-def _settled(grounds: list[_Ground], group: Shots) -> list[_Ground]:
-    """The same, their cells one period, fitted to all cells that look alike."""
-    inverse = np.asarray(np.linalg.inv(_intrinsics(group)), np.float64)
+def _settled(grounds: list[_Ground], inverse: F64) -> list[_Ground]:
+    """The same, their cells one period, fitted to all cells that look alike.
+
+    Args:
+        inverse: (3, 3) of the intrinsics.
+    """
     settled_ = [_Ground(g.file, g.grey, settled(g.lattice, g.grey, inverse)) for g in grounds]
     if not settled_:
         return []
@@ -117,9 +144,8 @@ def _intrinsics(group: Shots) -> F64:
     return np.array([[focal, 0, group.width / 2], [0, focal, group.height / 2], [0, 0, 1.0]])
 
 
-def _metric(grounds: list[_Ground], intrinsics: F64) -> F64:
+def _metric(grounds: list[_Ground], inverse: F64) -> F64:
     """(2, 2) columns are the basis on the plane; the first is (1, 0)."""
-    inverse = np.asarray(np.linalg.inv(intrinsics), np.float64)
     grams = np.stack([gram(g.lattice, inverse) for g in grounds])
     grams /= grams[:, :1, :1]
     middle = np.median(grams, axis=0)
@@ -128,22 +154,51 @@ def _metric(grounds: list[_Ground], intrinsics: F64) -> F64:
     return np.array([[1.0, across], [0.0, along]])
 
 
-def _overlays(
-    grounds: list[_Ground],
-    turns: tuple[int, ...],
+def _looks(
+    grounds: list[_Ground], alone: Poses, median: F64, turns: tuple[int, ...], threads: int
+) -> list[Look]:
+    """The photos, ready to be compared.
+
+    Args:
+        alone: each photo's place over its own cells; median: (cell, cell) of all cells.
+    """
+    cell = len(median)
+
+    def look(ground: _Ground) -> Look:
+        view = residual(ground.lattice, ground.grey, cell, median)
+        lens = alone.lenses[alone.lens_of[ground.file]]
+        beside = features_beside(
+            ground.grey,
+            ground.lattice.pixels_from_cells,
+            view,
+            cell,
+            Lens(*opencv_lens(lens[0], lens[3])),
+            np.asarray(alone.cam_from_world[ground.file], np.float64),
+        )
+        return look_of(view, np.median(ground.lattice.nodes, axis=0), beside, turns, threads)
+
+    return [look(ground) for ground in grounds]
+
+
+def _compared(
+    looks: list[Look],
+    offsets: dict[int, F64],
+    cell: int,
     threads: int,
     told: Callable[[int, int], None],
-) -> dict[tuple[int, int], Overlay]:
-    cell = _cell(grounds)
-    views = [spectra(residual(g.lattice, g.grey, cell), turns, threads) for g in grounds]
-    pairs = list(combinations(range(len(grounds)), 2))
+) -> dict[tuple[int, int], Evidence]:
+    count = len(looks)
+    stride = max(1, count // NEIGHBOURS)
+    pairs = [
+        (a, b)
+        for a, b in combinations(range(count), 2)
+        if count <= ALL_PAIRS or b - a <= NEIGHBOURS or (b - a) % stride == 0
+    ]
     found = {}
     for done, (a, b) in enumerate(pairs):
         if done % 20 == 0:
             told(done, len(pairs))
-        best = overlay(views[a], views[b], cell, threads)
-        if best is not None:
-            found[a, b] = best
+        found[a, b] = evidence(looks[a], looks[b], offsets, cell, threads)
     return found
 
 

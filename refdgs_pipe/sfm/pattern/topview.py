@@ -6,6 +6,7 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from refdgs_pipe.camera import F64
 from refdgs_pipe.sfm.pattern.lattice import Lattice, mapped
@@ -22,9 +23,13 @@ LIKE_ITSELF = 0.6  # correlation of the ground with itself, below which nothing 
 TRUE_PERIOD = 0.8  # of the best correlation of the view with itself, one period on
 AROUND = 2  # cells on each side that tell what repeats
 LEAST_REPEATS = 5
+FARTHER_CELLS = 6.0  # beyond the nodes, that may still be ground
+WINDOW = 1.4  # cells, of a window that is held against the shared cell
+GROUND = 0.6  # correlation with the shared cell, below which it is not the ground
 OUTLIER = 4.0  # times the median deviation
 CROWDED = 0.4  # of outliers around: it is the object
 REFINED = 4  # times
+SOFT = 1.0  # px from above, of the blur in which cells are held against each other
 MORE_CELLS = 2.5  # that the ground grows each time
 LEAST_CELLS = 8  # that look alike
 LIKE_THE_REST = 0.7  # correlation with the median of all cells
@@ -79,26 +84,31 @@ def settled(lattice: Lattice, grey: U8, gram_of: F64) -> Lattice:
     told = max(scores) > LIKE_ITSELF
     least = min(good, key=lambda b: abs(float(np.linalg.det(b)))) if told else np.eye(2)
     found = lattice.in_basis(least)
-    return found.in_basis(_shortest(gram(found, gram_of)))
+    return found.in_basis(shortest(gram(found, gram_of)))
 
 
-def refined(lattice: Lattice, grey: U8, cell: int) -> Lattice:
+def refined(lattice: Lattice, grey: U8, cell: int, shared: F64 | None = None) -> Lattice:
     """The lattice with a node in each cell that looks like the others, and fitted to these.
 
     Each cell is moved onto the median of all cells (Lucas and Kanade 1981), and the homography is
-    fitted to the moved cells. Done three times.
+    fitted to the moved cells. Done four times.
+
+    Args:
+        shared: (cell, cell) to move them onto instead; its middle gets whole numbers. The lattice
+            fits it to a fraction of a cell.
     """
     for _ in range(REFINED):
         origin = np.round(np.median(lattice.nodes, axis=0))
+        origin = origin if shared is None else origin - cell_middle(cell)
         top, known = _from_above(lattice, grey, cell, origin, MORE_CELLS)
         count = SIDE // cell
         rim = (SIDE - count * cell) // 2
         whole = _in_cells(known, cell).all(1)
         if whole.sum() < LEAST_CELLS:
             return lattice
-        values = np.asarray(_in_cells(cv2.GaussianBlur(top, (0, 0), 1.0), cell)[whole], float)
+        values = np.asarray(_in_cells(cv2.GaussianBlur(top, (0, 0), SOFT), cell)[whole], float)
         values -= values.mean(1, keepdims=True)
-        mean = np.median(values, axis=0)
+        mean = np.median(values, axis=0) if shared is None else _soft(shared).ravel()
         tiled = np.tile(mean.reshape(cell, cell), (3, 3))
         slopes = [g[cell : 2 * cell, cell : 2 * cell].ravel() for g in np.gradient(tiled)[::-1]]
         like = (
@@ -114,7 +124,7 @@ def refined(lattice: Lattice, grey: U8, cell: int) -> Lattice:
         middle = np.stack([column, row], 1) * cell + rim + (cell - 1) / 2
         at = (middle - (SIDE - 1) / 2) / cell + origin
         pixels = mapped(lattice.pixels_from_cells, at + steps[good] / cell)
-        nodes = np.round(at - at[0]) + origin
+        nodes = np.round(at - at[0]) + origin if shared is None else np.round(at)
         fitted, _ = cv2.findHomography(nodes, pixels, cv2.RANSAC, FIT_PX)
         if fitted is None:
             return lattice
@@ -124,6 +134,33 @@ def refined(lattice: Lattice, grey: U8, cell: int) -> Lattice:
     return lattice
 
 
+def _soft(shared: F64) -> F64:
+    return np.asarray(ndimage.gaussian_filter(shared, SOFT, mode="wrap"))
+
+
+def _tiled(shared: F64) -> F64:
+    """(SIDE, SIDE) the shared cell all over a view whose middle is a whole number."""
+    cell = len(shared)
+    rows = np.arange(SIDE) - (SIDE - 1) / 2 + (cell - 1) / 2
+    where = np.stack(np.meshgrid(rows, rows, indexing="ij"))
+    return np.asarray(ndimage.map_coordinates(shared, where, order=1, mode="grid-wrap"))
+
+
+def _like(top: F32, known: NDArray[np.bool_], tiled: F64, cell: int) -> F64:
+    """(SIDE, SIDE) correlation of a view with the tiled cell in windows of about a cell."""
+    window = (2 * (round(WINDOW * cell) // 2) + 1,) * 2
+    weight = cv2.boxFilter(known.astype(np.float64), -1, window)
+
+    def mean(a: NDArray[np.generic]) -> F64:
+        total = cv2.boxFilter(np.where(known, a, 0).astype(np.float64), -1, window)
+        return np.asarray(total / np.maximum(weight, 1e-6))
+
+    one = np.asarray(cv2.GaussianBlur(top, (0, 0), SOFT), np.float64)
+    spread = [mean(a * a) - mean(a) ** 2 for a in (one, tiled)]
+    product = mean(one * tiled) - mean(one) * mean(tiled)
+    return np.asarray(product / np.sqrt(np.maximum(spread[0] * spread[1], 1e-12)))
+
+
 def _in_cells(a: NDArray[Any], cell: int) -> NDArray[Any]:
     """(count * count, cell * cell) the whole cells of a view (SIDE, SIDE), row by row."""
     count = SIDE // cell
@@ -131,6 +168,39 @@ def _in_cells(a: NDArray[Any], cell: int) -> NDArray[Any]:
     inside = slice(rim, rim + count * cell)
     tiled = a[inside, inside].reshape(count, cell, count, cell).transpose(0, 2, 1, 3)
     return tiled.reshape(count**2, cell**2)
+
+
+def median_cell(lattice: Lattice, grey: U8, cell: int) -> tuple[F64, float] | None:
+    """(cell, cell) the median of a photo's cells, mean 0, and whether it is one period.
+
+    Its middle lies at `cell_middle` beside whole numbers. The second figure is the least
+    correlation between the median of every other cell and that of the rest, for columns, rows
+    and both: low where a lattice steps over half a period. None if too few cells are seen whole.
+    """
+    origin = np.round(np.median(lattice.nodes, axis=0))
+    top, known = _from_above(lattice, grey, cell, origin, 1.0)
+    whole = _in_cells(known, cell).all(1)
+    if whole.sum() < LEAST_CELLS:
+        return None
+    values = np.asarray(_in_cells(cv2.GaussianBlur(top, (0, 0), SOFT), cell)[whole], float)
+    values -= values.mean(1, keepdims=True)
+    row, column = np.divmod(np.flatnonzero(whole), SIDE // cell)
+    alike = 1.0
+    for odd in (row % 2 > 0, column % 2 > 0, (row + column) % 2 > 0):
+        if min(odd.sum(), (~odd).sum()) >= LEAST_CELLS / 2:
+            one, other = np.median(values[odd], axis=0), np.median(values[~odd], axis=0)
+            norm = float(np.linalg.norm(one) * np.linalg.norm(other))
+            alike = min(alike, float(one @ other) / max(norm, 1e-9))
+    sharp = np.asarray(_in_cells(top, cell)[whole], float)
+    sharp -= sharp.mean(1, keepdims=True)
+    return np.asarray(np.median(sharp, axis=0).reshape(cell, cell)), alike
+
+
+def cell_middle(cell: int) -> float:
+    """Where the middle of a median cell lies, in cells beside a whole number, both ways."""
+    rim = (SIDE - SIDE // cell * cell) // 2
+    middle = (rim + (cell - 1) / 2 - (SIDE - 1) / 2) / cell
+    return middle - round(middle)
 
 
 def gram(lattice: Lattice, inverse: F64) -> F64:
@@ -148,16 +218,19 @@ def cell_in_photo(lattice: Lattice) -> float:
     return float(np.sqrt(np.median(_density(lattice, lattice.nodes))))
 
 
-def residual(lattice: Lattice, grey: U8, cell: int) -> TopView:
+def residual(lattice: Lattice, grey: U8, cell: int, shared: F64) -> TopView:
     """What does not repeat.
 
-    From each pixel the median of the same place in the cells around is taken away.
+    From each pixel the median of the same place in the cells around is taken away. What does not
+    look like the shared cell is left out: it is the object.
 
     Args:
-        lattice: settled; cell: pixels of a cell from above.
+        lattice: whole numbers are the middle of the shared cell; cell: pixels of a cell from above.
+        shared: (cell, cell) what all cells look like.
     """
     origin = np.round(np.median(lattice.nodes, axis=0))
-    top, known = _from_above(lattice, grey, cell, origin, 1.0)
+    top, known = _from_above(lattice, grey, cell, origin, FARTHER_CELLS)
+    known &= _like(top, known, _tiled(_soft(shared)), cell) > GROUND
     value = np.where(known, top, np.nan)
     wide = np.pad(value, AROUND * cell, constant_values=np.nan)
     steps = range(0, 2 * AROUND * cell + 1, cell)
@@ -251,7 +324,7 @@ def _self_alike(top: F32, known: NDArray[np.bool_], step: NDArray[np.int64], win
     return float(np.median(like[whole]))
 
 
-def _shortest(gram: F64) -> F64:
+def shortest(gram: F64) -> F64:
     """(2, 2) columns of the shortest basis (Gauss), in cells; the orientation stays, and the
     shorter vector comes first."""
     basis = np.eye(2)
