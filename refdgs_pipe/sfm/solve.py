@@ -64,8 +64,8 @@ def solve(
 
     Around a still object the background helps, on a turntable it misleads: with `masks` "auto"
     everything counts at first, then only the object, then only the background. Rungs:
-    as the settings say; finer features; finer and fainter ones; the masks; features adapted to
-    steep views; and last the pattern of the ground, where it repeats.
+    as the settings say; the pattern of the ground, where it repeats; finer features; finer and
+    fainter ones; the masks; and features adapted to steep views.
 
     Args:
         run: calls `colmap.reconstruct` with these arguments, in a process of its own.
@@ -76,7 +76,7 @@ def solve(
     mat = seen_in_files(pictures.folder, files, threads=effort.threads)
     shots = shots_of(views, pictures.sizes)
     effort = effort.for_photos(pictures.sizes)
-    so_far, stands_still = _SoFar(len(views.items)), False
+    so_far, stands_still, repeats = _SoFar(len(views.items)), False, False
     for rung in _rungs(effort, masks, is_masked=views.background != "photo"):
         if not rung.only_from <= so_far.share < rung.only_below:
             continue
@@ -96,11 +96,12 @@ def solve(
             alone = placed_by_mat(mat, shots, line_mm=line_mm)
             if alone is not None:
                 so_far.keep("the printed mat alone", alone, ())
-    repeats = so_far.share < GOOD and ground_repeats(pictures.folder, shots, effort.threads)
-    if repeats and not stands_still:
-        by_pattern = placed_by_pattern(pictures.folder, shots, effort.threads, told)
-        if by_pattern is not None:
-            so_far.keep("the pattern of the ground alone", by_pattern, (_PATTERN,))
+        if is_first and so_far.share < GOOD:
+            repeats = ground_repeats(pictures.folder, shots, effort.threads)
+            if repeats and not stands_still:
+                by_pattern = placed_by_pattern(pictures.folder, shots, effort.threads, told)
+                if by_pattern is not None:
+                    so_far.keep("the pattern of the ground alone", by_pattern, (_PATTERN,))
     attempts = tuple(so_far.attempts)
     placement = Placement(so_far.best, attempts, so_far.notes, repeats=repeats)
     return placement if so_far.best is None else _measured(placement, so_far.best, mat, line_mm)

@@ -93,6 +93,7 @@ def test_a_ground_that_repeats_places_what_features_left(
     found = solve(views, pictures, PLAIN, masks="auto", scratch=tmp_path, run=run)
     assert found.repeats and found.poses is not None
     assert len(found.poses.cam_from_world) == COUNT
+    assert len(found.attempts) == 2  # nothing else is tried after it
 
 
 def test_where_the_background_stands_still_the_pattern_places_nothing(
