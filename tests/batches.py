@@ -7,6 +7,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import forking
 import pytest
 from shells import FAKE_CLI, Shell
 
@@ -17,11 +18,16 @@ needs_snakemake = pytest.mark.skipif(
 
 
 class BatchShell(Shell):
-    """Makes captures, a batch of them, and looks at what came out."""
+    """Makes captures, a batch of them, and looks at what came out.
 
-    def __init__(self, root: Path) -> None:
+    Args:
+        forks: jobs are forks, see `forking`; else each starts Python, as those of a user do.
+    """
+
+    def __init__(self, root: Path, *, forks: bool = False) -> None:
         super().__init__(root)
         self.batch = root / "B"
+        self.job = forking.command(FAKE_CLI) if forks else [sys.executable, str(FAKE_CLI)]
 
     def captures(self, **texts: str) -> list[str]:
         """A folder for each name, with one letter of that text."""
@@ -36,7 +42,7 @@ class BatchShell(Shell):
         path = self.batch / "Snakefile"
         lines = path.read_text().splitlines()
         at = next(i for i, line in enumerate(lines) if line.startswith("COMMAND ="))
-        lines[at] = f"COMMAND = {shlex.join([sys.executable, str(FAKE_CLI)])!r}"
+        lines[at] = f"COMMAND = {shlex.join(self.job)!r}"
         at = next(i for i, line in enumerate(lines) if line.startswith("THREADS ="))
         lines[at] = 'THREADS = {"prepare": 1, "train": 1, "finish": 1}'
         path.write_text("\n".join(lines) + "\n")

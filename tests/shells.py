@@ -1,4 +1,7 @@
-"""The command line over small stages, in a process of its own."""
+"""The command line over small stages, in a process of its own.
+
+Most are forks of one that has loaded it, see `forking`.
+"""
 
 import json
 import os
@@ -6,6 +9,8 @@ import subprocess
 import sys
 from pathlib import Path
 from typing import Any
+
+from forking import Forked, Process
 
 FAKE_CLI = Path(__file__).parent / "fake_cli.py"
 
@@ -24,8 +29,11 @@ class Shell:
         paths = os.pathsep.join(path for path in sys.path if path)
         self.environment = os.environ | {"PYTHONPATH": paths, "COLUMNS": "100"}
 
-    def start(self, *arguments: str, **environment: str) -> subprocess.Popen[str]:
-        return subprocess.Popen(
+    def start(self, *arguments: str, **environment: str) -> Process:
+        if "PYTHONPATH" not in environment:
+            words = [*self.command, *arguments]
+            return Forked(words, self.root, self.environment | environment)
+        return subprocess.Popen(  # Python itself is to start in another way
             [sys.executable, str(FAKE_CLI), *arguments],
             cwd=self.root,
             stdout=subprocess.PIPE,

@@ -11,6 +11,7 @@ import struct
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,9 @@ import numpy as np
 import pytest
 from PIL import Image
 from scenes import glossy_pair, orbit
+
+from refdgs_pipe.cli.app import app
+from refdgs_pipe.reporting import asset as turntable
 
 SMALL = {
     "train.iterations": 40,
@@ -64,12 +68,16 @@ def write_capture(folder: Path, *, count: int = 24, size: int = 64) -> Path:
     return folder
 
 
-def start(*arguments: str, **settings: Any) -> subprocess.Popen[str]:
+def sets(settings: dict[str, Any]) -> list[str]:
+    """The small settings and these, as options."""
     chosen = SMALL | {key.replace("__", "."): value for key, value in settings.items()}
-    sets = [part for item in chosen.items() for part in ("--set", "{}={}".format(*item))]
+    return [part for item in chosen.items() for part in ("--set", "{}={}".format(*item))]
+
+
+def start(*arguments: str, **settings: Any) -> subprocess.Popen[str]:
     paths = os.pathsep.join(path for path in sys.path if path)
     return subprocess.Popen(
-        [sys.executable, "-m", "refdgs_pipe.cli.app", *arguments, *sets],
+        [sys.executable, "-m", "refdgs_pipe.cli.app", *arguments, *sets(settings)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -93,8 +101,32 @@ def digests(record: Any) -> dict[str, str]:
     }
 
 
-def test_a_capture_becomes_an_asset_and_only_what_changed_is_made_again(tmp_path: Path) -> None:
-    photos = str(write_capture(tmp_path / "photos"))
+@pytest.fixture
+def here(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
+    """Runs the command line in this process, with a small report: what `run` prints."""
+    monkeypatch.setattr(turntable, "_FRAME", 40)
+    monkeypatch.setattr(turntable, "_CLOSE_UP", 40)
+
+    def call(*arguments: str, **settings: Any) -> Any:
+        words = ["run", *arguments, "--json", *sets(settings)]
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as ended:
+            app(words, prog_name="refdgs-pipe")
+        assert not ended.value.code
+        return json.loads(capsys.readouterr().out)
+
+    return call
+
+
+def to_make(plan: Any) -> list[str]:
+    """The stages that a run would make."""
+    return [stage["stage"] for stage in plan["stages"] if stage["state"] != "up to date"]
+
+
+def test_a_capture_becomes_an_asset_and_only_what_changed_is_made_again(
+    tmp_path: Path, here: Callable[..., Any]
+) -> None:
+    photos = str(write_capture(tmp_path / "photos", count=16))
     record = run("run", photos)
     asset = tmp_path / "photos.refdgs" / "asset"
     assert record["asset"] == str(asset)
@@ -106,14 +138,15 @@ def test_a_capture_becomes_an_asset_and_only_what_changed_is_made_again(tmp_path
     assert run("run", photos)["made"] == []
     check_scores(tmp_path / "photos.refdgs")
     (tmp_path / "photos" / "test" / "r_3_normal.png").unlink()
-    assert run("run", photos)["made"] == ["ingest", "evaluate"]  # truth is no photo
+    assert here(photos)["made"] == ["ingest", "evaluate"]  # truth is no photo
     followers = ["extract", "clean", "fit", "appearance", "unwrap", "bake", "export"]
-    again = run("run", photos, extract__voxel=0.025)["made"]
+    again = here(photos, extract__voxel=0.025)["made"]
     assert [name for name in again if name != "evaluate"] == followers
-    again = run("run", photos, fit__outlines=1)["made"]
+    again = to_make(here(photos, "--dry-run", fit__outlines=1))
     assert [name for name in again if name != "evaluate"] == followers[2:]
-    assert run("run", photos, "--until", "refine", refine__surfels=1.2)["made"] == ["refine"]
-    assert run("run", photos)["made"] == []
+    plan = here(photos, "--dry-run", "--until", "refine", refine__surfels=1.2)
+    assert to_make(plan) == ["refine"]
+    assert here(photos)["made"] == []
 
 
 def check_scores(work: Path) -> None:
@@ -126,7 +159,7 @@ def check_scores(work: Path) -> None:
     )
     assert "done in" not in scored.stderr  # nothing is made again
     record = json.loads(scored.stdout)
-    assert record["scores"]["split"] == "test" and len(record["scores"]["views"]) == 6
+    assert record["scores"]["split"] == "test" and len(record["scores"]["views"]) == 4
     assert record["scores"]["mean"]["psnr"] > 5
     assert 0 < record["scores"]["mean"]["normal_mae_deg"] < 90
     assert record["scores"]["mean"]["depth_mae"] is None

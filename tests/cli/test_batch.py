@@ -13,7 +13,7 @@ PARTS = ("prepare", "train", "finish")
 
 @pytest.fixture
 def shell(tmp_path: Path) -> BatchShell:
-    return BatchShell(tmp_path)
+    return BatchShell(tmp_path, forks=True)
 
 
 def wait_for(shell: BatchShell, pattern: str) -> None:
@@ -306,7 +306,7 @@ def test_a_second_run_of_a_batch_is_refused_and_a_stopped_one_goes_on(shell: Bat
 def test_a_batch_may_be_in_a_folder_with_an_odd_name(tmp_path: Path) -> None:
     root = tmp_path / "a b's: {x} [1]"
     root.mkdir()
-    shell = BatchShell(root)
+    shell = BatchShell(root, forks=True)
     shell.init(ball="hello")
     shell("batch", "run", "B", "--cores", "1")
     assert shell.states() == {"ball": "done"}

@@ -4,12 +4,12 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 from typing import Any
 
 import pytest
+from forking import Forked
 
 FAKE_CLI = Path(__file__).parent.parent / "fake_cli.py"
 
@@ -27,17 +27,9 @@ class Bench:
         (self.root / name).mkdir(parents=True, exist_ok=True)
         (self.root / name / "a.txt").write_text(text)
 
-    def start(self, *arguments: str, **environment: str) -> subprocess.Popen[str]:
-        paths = os.pathsep.join(path for path in sys.path if path)
-        changes = {"PYTHONPATH": paths, "COLUMNS": "100", "FAKE_BENCH": "1"} | environment
-        return subprocess.Popen(
-            [sys.executable, str(FAKE_CLI), "bench", *arguments],
-            cwd=self.root,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            env=os.environ | changes,
-        )
+    def start(self, *arguments: str, **environment: str) -> Forked:
+        changes = {"COLUMNS": "100", "FAKE_BENCH": "1"} | environment
+        return Forked([str(FAKE_CLI), "bench", *arguments], self.root, os.environ | changes)
 
     def __call__(self, *arguments: str, code: int = 0) -> subprocess.CompletedProcess[str]:
         process = self.start(*arguments, "--out", "out")

@@ -11,7 +11,7 @@ pytest.importorskip("obstore", reason="obstore is not installed: the extra batch
 
 @pytest.fixture
 def shell(tmp_path: Path) -> BatchShell:
-    return BatchShell(tmp_path)
+    return BatchShell(tmp_path, forks=True)
 
 
 def test_a_laptop_fetches_what_the_farm_made_and_makes_nothing(shell: BatchShell) -> None:

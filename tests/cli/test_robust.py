@@ -30,6 +30,15 @@ def shell(tmp_path: Path) -> Shell:
     return Shell(tmp_path)
 
 
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Shell:
+    """A workspace that is made, for tests that change nothing in it; and a file."""
+    shell = Shell(tmp_path_factory.mktemp("finished"))
+    (shell.root / "file").write_text("x")
+    shell("run", "letters", "-q")
+    return shell
+
+
 def test_photos_go_on_with_recipe_and_settings_of_their_workspace(shell: Shell) -> None:
     own = shell.root / "own.toml"
     own.write_text("[shout]\nmood = 'glad'\n")
@@ -94,13 +103,11 @@ def test_a_workspace_of_other_photos_is_refused(shell: Shell) -> None:
     ],
 )
 def test_what_cannot_be_meant_is_refused_before_anything_is_done(
-    shell: Shell, arguments: list[str], code: int, words: str
+    finished: Shell, arguments: list[str], code: int, words: str
 ) -> None:
-    (shell.root / "file").write_text("x")
-    shell("run", "letters", "-q")
-    before = sorted(shell.root.rglob("*"))
-    assert words in shell(*arguments, code=code).stderr
-    assert sorted(shell.root.rglob("*")) == before
+    before = sorted(finished.root.rglob("*"))
+    assert words in finished(*arguments, code=code).stderr
+    assert sorted(finished.root.rglob("*")) == before
 
 
 def test_a_workspace_given_as_itself_is_gone_on_with(shell: Shell) -> None:
@@ -108,13 +115,24 @@ def test_a_workspace_given_as_itself_is_gone_on_with(shell: Shell) -> None:
     assert shell.json("run", "letters.refdgs", "-w", "letters.refdgs")["made"] == []
 
 
-@pytest.mark.parametrize("text", ["", "{", "[]", "[" * 50_000, '{"photos": [1], "recipe": 3}'])
-def test_a_damaged_workspace_note_is_named_and_photos_mend_it(shell: Shell, text: str) -> None:
+@pytest.mark.parametrize(
+    ("text", "commands"),
+    [
+        ("{", ("status", "run", "clean", "verify", "report", "path")),
+        ("", ("status",)),
+        ("[]", ("status",)),
+        ("[" * 50_000, ("status",)),
+        ('{"photos": [1], "recipe": 3}', ("status",)),
+    ],
+)
+def test_a_damaged_workspace_note_is_named_and_photos_mend_it(
+    shell: Shell, text: str, commands: tuple[str, ...]
+) -> None:
     shell("run", "letters", "-q")
     (shell.work / "workspace.json").write_text(text)
-    for command in (["status"], ["run"], ["clean"], ["verify"], ["report"], ["path"]):
-        more = ["read"] if command == ["path"] else []
-        said = shell(*command, "letters.refdgs", *more, code=74).stderr
+    for command in commands:
+        more = ["read"] if command == "path" else []
+        said = shell(command, "letters.refdgs", *more, code=74).stderr
         assert "workspace.json: damaged" in said and "What is finished is kept" in said
     assert shell.json("run", "letters")["made"] == []
     shell("status", "letters.refdgs")
@@ -304,10 +322,23 @@ def test_ctrl_c_while_importing_is_no_traceback(shell: Shell) -> None:
 
 
 def test_ctrl_c_before_the_first_stage_is_no_traceback(shell: Shell) -> None:
-    os.mkfifo(shell.letters / "c.txt")  # reading it waits
+    letter = shell.letters / "c.txt"
+    os.mkfifo(letter)  # reading it waits
     process = shell.start("run", "letters", "--dry-run")
-    time.sleep(2)
+    nothing = writer_of(letter)
     process.send_signal(signal.SIGINT)
     _, said = process.communicate(timeout=20)
+    os.close(nothing)
     assert process.returncode == 130
     assert said.strip().endswith("What is finished is kept; run again to go on")
+
+
+def writer_of(pipe: Path) -> int:
+    """A handle that writes to a named pipe, once somebody reads it."""
+    deadline = time.monotonic() + 20
+    while True:
+        try:
+            return os.open(pipe, os.O_WRONLY | os.O_NONBLOCK)
+        except OSError as error:
+            assert error.errno == errno.ENXIO and time.monotonic() < deadline
+            time.sleep(0.02)

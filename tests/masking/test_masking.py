@@ -15,6 +15,7 @@ from refdgs_pipe.artifacts.views import Exif, View, Views
 from refdgs_pipe.camera import Camera, Lens
 from refdgs_pipe.errors import CorruptError, InputError
 from refdgs_pipe.ground.shots import Shot
+from refdgs_pipe.masking import rounds
 from refdgs_pipe.masking.cut import cut
 from refdgs_pipe.masking.files import distorted, write_masks
 from refdgs_pipe.masking.rounds import agreement, object_masks
@@ -99,10 +100,19 @@ def capture(
     return Views(folder, tuple(items), "srgb", "photo"), model, truth
 
 
+@pytest.fixture
+def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Solids of few cells, which take half of the time: the photos are as small."""
+    levels = tuple(replace(level, solid=64) for level in rounds.LEVELS)
+    monkeypatch.setattr(rounds, "LEVELS", levels)
+    monkeypatch.setattr(rounds, "LAST", replace(rounds.LAST, solid=72))
+
+
 def overlap(one: np.ndarray, other: np.ndarray) -> float:
     return float((one & other).sum() / max((one | other).sum(), 1))
 
 
+@pytest.mark.usefixtures("coarse")
 def test_a_mirror_ball_on_a_printed_table_is_found(
     capture: tuple[Views, SparseModel, list[np.ndarray]],
 ) -> None:
@@ -129,6 +139,7 @@ def test_masks_do_not_depend_on_the_number_of_threads(
         np.testing.assert_array_equal(mask, same)
 
 
+@pytest.mark.usefixtures("coarse")
 def test_an_empty_table_has_no_masks(
     capture: tuple[Views, SparseModel, list[np.ndarray]], tmp_path: Path
 ) -> None:

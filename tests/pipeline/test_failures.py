@@ -6,7 +6,6 @@ import random
 import shutil
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import Any
 
 import pytest
 from fake_stages import STAGES, Letters, PrintParams, ReadParams, ShoutParams
+from forking import Forked
 
 from refdgs_pipe.errors import WorkspaceBusy, WriteError
 from refdgs_pipe.pipeline import atomic
@@ -34,18 +34,8 @@ def letters(tmp_path: Path) -> Path:
     return folder
 
 
-def start(*arguments: str, step_s: float = 0.0) -> subprocess.Popen[str]:
-    environment = os.environ | {
-        "FAKE_STEP_S": str(step_s),
-        "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
-    }
-    return subprocess.Popen(
-        [sys.executable, str(FAKE_CLI), *arguments],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=environment,
-    )
+def start(*arguments: str, step_s: float = 0.0) -> Forked:
+    return Forked([str(FAKE_CLI), *arguments], None, os.environ | {"FAKE_STEP_S": str(step_s)})
 
 
 def make(letters: Path, work: Path) -> list[Event]:
@@ -88,7 +78,7 @@ def test_killed_at_50_random_moments_the_next_run_ends_with_the_same_result(
             chance.choice(("read", "shout", "export")),
             step_s=0.005,
         )
-        time.sleep(0.12 + chance.random() * 0.25)
+        time.sleep(chance.random() * 0.25)  # a run takes about that long
         process.send_signal(signal.SIGKILL)
         process.communicate()
         if work.exists():

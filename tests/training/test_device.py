@@ -22,6 +22,8 @@ from refdgs_pipe.ops.registry import using
 from refdgs_pipe.training.photos import _shrunk_there, shrunk
 from refdgs_pipe.training.trainer import Moment, Trainer
 
+pytestmark = pytest.mark.usefixtures("coarse_start")
+
 GPU = "meta"  # torch's device of tensors with sizes but no numbers: reading one raises
 VARIANTS: list[tuple[dict[str, Any], bool]] = [
     ({"local_from": 0.0, "reflect_from": 0.0}, True),

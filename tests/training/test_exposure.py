@@ -4,12 +4,15 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 import torch
 from training.test_trainer import SMALL, capture, quiet
 from training_runs import trainer_of
 
 from refdgs_pipe.errors import Cancelled
 from refdgs_pipe.training.photos import TrainingPhoto, load_training_photos, shrunk
+
+pytestmark = pytest.mark.usefixtures("coarse_start")
 
 FITTED = SMALL.but(
     exposure="fitted",

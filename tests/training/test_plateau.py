@@ -13,6 +13,8 @@ from refdgs_pipe.errors import Cancelled
 from refdgs_pipe.training.photos import TrainingPhoto, load_training_photos, shrunk
 from refdgs_pipe.training.plateau import Plateau, hold_out
 
+pytestmark = pytest.mark.usefixtures("coarse_start")
+
 # no gain is ever large enough, so that the first look after the wait ends it
 HOPELESS = SMALL.but(
     iterations=120,

@@ -18,6 +18,8 @@ from refdgs_pipe.camera import Camera
 from refdgs_pipe.errors import Cancelled, TrainingError
 from refdgs_pipe.training.poses import Poses
 
+pytestmark = pytest.mark.usefixtures("coarse_start")
+
 REFINED = SMALL.but(poses="refined", iterations=360, rate_poses=5e-3, pose_weight=0.1)
 OFF = 0.02  # radians, and camera distances
 

@@ -20,6 +20,8 @@ from refdgs_pipe.training.recorded import RecordedSteps
 from refdgs_pipe.training.step import Taken
 from refdgs_pipe.training.trainer import Trainer
 
+pytestmark = pytest.mark.usefixtures("coarse_start")
+
 SHORT = {
     "iterations": 10,
     "surfels": 100,

@@ -17,6 +17,8 @@ from refdgs_pipe.training.figures import Progress
 from refdgs_pipe.training.renewal import discs_on, renewed
 from refdgs_pipe.training.surfels import TrainableSet, raw_diffuse_of
 
+pytestmark = pytest.mark.usefixtures("coarse_start")
+
 BALL = sphere(24)
 HALFWAY = SMALL.but(renew_at=0.5, iterations=20)
 

@@ -33,6 +33,8 @@ from refdgs_pipe.training.losses import mirrored
 from refdgs_pipe.training.render import render_image, render_surface_map
 from refdgs_pipe.training.surfels import DensityRules, TrainableSet, densify
 
+pytestmark = pytest.mark.usefixtures("coarse_start")
+
 SMALL = Settings.of(
     {
         "start": {"volume_steps": 10, "look_steps": 0, "surfels": 1500, "local_surfels": 400},
@@ -306,7 +308,9 @@ def test_the_hull_of_a_ball_seen_from_all_sides_is_the_ball() -> None:
         rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
         miss = np.linalg.norm(np.cross(rays, -camera.center), axis=-1)
         masks.append((miss < 1).astype(np.float32))
-    hull = initial.visual_hull(ball, cameras, masks)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(initial, "HULL_CELLS", 96)
+        hull = initial.visual_hull(ball, cameras, masks)
     assert hull is not None
     rng = np.random.default_rng(0)
     cloud = initial.surface_cloud(hull, 2000, rng, cameras, masks, 1.5)

@@ -53,15 +53,22 @@ def _until(is_so: object) -> None:
         time.sleep(0.05)
 
 
-def test_a_finished_workspace_is_served_on_this_machine_only(tmp_path: Path) -> None:
-    work(tmp_path)
-    with served(tmp_path) as port:
-        page = urllib.request.urlopen(f"http://{HOST}:{port}", timeout=PATIENCE_S)
-        assert b"<html" in page.read()
-        for line in Path("/proc/net/tcp").read_text().splitlines()[1:]:
-            place, number = line.split()[1].split(":")
-            if int(number, 16) == port:
-                assert place == "0100007F"  # 127.0.0.1
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
+    """The port of a page that shows a finished workspace."""
+    root = tmp_path_factory.mktemp("finished")
+    work(root)
+    with served(root) as port:
+        yield port
+
+
+def test_a_finished_workspace_is_served_on_this_machine_only(finished: int) -> None:
+    page = urllib.request.urlopen(f"http://{HOST}:{finished}", timeout=PATIENCE_S)
+    assert b"<html" in page.read()
+    for line in Path("/proc/net/tcp").read_text().splitlines()[1:]:
+        place, number = line.split()[1].split(":")
+        if int(number, 16) == finished:
+            assert place == "0100007F"  # 127.0.0.1
 
 
 @pytest.mark.parametrize(
@@ -75,54 +82,48 @@ def test_a_finished_workspace_is_served_on_this_machine_only(tmp_path: Path) -> 
     ],
 )
 def test_only_pages_of_this_machine_may_connect(
-    tmp_path: Path, origin: str, is_let_in: bool
+    finished: int, origin: str, is_let_in: bool
 ) -> None:
-    pytest.importorskip("viser")
     import viser
     from websockets.exceptions import InvalidStatus
     from websockets.sync.client import connect
 
-    work(tmp_path, until="gate")
-    with served(tmp_path) as port:
-        where = f"ws://{HOST}:{port}"
-        options = {"origin": origin.format(port=port)}
-        protocols = [f"viser-v{viser.__version__}"]
-        if is_let_in:
-            with connect(where, subprotocols=protocols, **options) as connection:
-                assert connection.recv(timeout=PATIENCE_S)
-        else:
-            with pytest.raises(InvalidStatus, match="403"):
-                connect(where, subprotocols=protocols, **options)
+    where = f"ws://{HOST}:{finished}"
+    options = {"origin": origin.format(port=finished)}
+    protocols = [f"viser-v{viser.__version__}"]
+    if is_let_in:
+        with connect(where, subprotocols=protocols, **options) as connection:
+            assert connection.recv(timeout=PATIENCE_S)
+    else:
+        with pytest.raises(InvalidStatus, match="403"):
+            connect(where, subprotocols=protocols, **options)
 
 
-def test_a_browser_gets_cameras_points_and_the_newest_of_the_object(tmp_path: Path) -> None:
-    work(tmp_path)
-    with served(tmp_path) as port:
-        browser = LightBrowser(port, look_at=MIDDLE, eye=EYE)
-        kinds = ("CameraFrustumMessage", "PointCloudMessage", "GlbMessage")
-        browser.until(*kinds, patience_s=PATIENCE_S)
-        browser.close()
+def test_a_browser_gets_cameras_points_and_the_newest_of_the_object(finished: int) -> None:
+    browser = LightBrowser(finished, look_at=MIDDLE, eye=EYE)
+    kinds = ("CameraFrustumMessage", "PointCloudMessage", "GlbMessage")
+    browser.until(*kinds, patience_s=PATIENCE_S)
+    browser.close()
     frusta = [m for m in browser.messages if m["type"] == "CameraFrustumMessage"]
     assert len(frusta) == 5
 
 
 def test_a_browser_gets_the_field_as_it_sees_it_and_again_only_if_it_moves(tmp_path: Path) -> None:
     work(tmp_path, until="refine")
-
-    def settled(browser: LightBrowser) -> int:
-        """How many pictures came, once no more do: a small one first, then a larger one."""
-        count = -1
-        while count != (count := sum(m["type"] == PICTURE for m in browser.messages)) or not count:
-            browser.listen(4.0)
-        return count
-
     with served(tmp_path) as port:
         browser = LightBrowser(port, look_at=MIDDLE, eye=EYE)
-        count = settled(browser)
-        assert count <= 3
+
+        def count() -> int:
+            return sum(message["type"] == PICTURE for message in browser.messages)
+
+        browser.until(PICTURE, patience_s=PATIENCE_S)
+        came = 0
+        while came != (came := count()):  # a small one first, then a larger one
+            browser.listen(4.0)
+        assert came <= 3
         browser.messages.clear()
         browser.look(look_at=MIDDLE, eye=ELSEWHERE)
-        assert settled(browser) >= 1
+        browser.until(PICTURE, patience_s=PATIENCE_S)
         browser.close()
 
 
@@ -130,7 +131,7 @@ def test_a_workspace_that_is_not_there_yet_is_waited_for(tmp_path: Path) -> None
     root = tmp_path / "work"
     with served(root) as port:
         browser = LightBrowser(port, look_at=MIDDLE, eye=EYE)
-        browser.listen(3.0)
+        browser.listen(1.5)
         assert "CameraFrustumMessage" not in browser.kinds
         work(root, until="gate")
         browser.until("CameraFrustumMessage", patience_s=PATIENCE_S)
