@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 import pytest
+from scenes import look_at
 
 from refdgs_pipe.camera import F64
 from refdgs_pipe.sfm.pattern.beside import Beside, agreeing, matches
@@ -142,13 +143,7 @@ def test_features_beside_the_ground_fit_at_the_right_place_only() -> None:
 
     def seen(azimuth: float, world_from_cells: F64) -> Beside:
         a = np.radians(azimuth)
-        away = np.array([3 * np.cos(a), 3 * np.sin(a), 2.0])
-        forward = -away / np.linalg.norm(away)
-        right = np.cross(forward, [0, 0, 1.0])
-        right /= np.linalg.norm(right)
-        pose = np.eye(4)
-        pose[:3, :3] = np.stack([right, np.cross(forward, right), forward])
-        pose[:3, 3] = -pose[:3, :3] @ away
+        pose = look_at("a", np.array([3 * np.cos(a), 3 * np.sin(a), 2.0])).cam_from_world
         rays = points @ pose[:3, :3].T + pose[:3, 3]
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         return Beside(rays, looks, pose @ world_from_cells, 1.5 / 600)
