@@ -15,7 +15,7 @@ from refdgs_pipe.artifacts.views import Exif, View, Views
 from refdgs_pipe.camera import Camera, Lens
 from refdgs_pipe.errors import CorruptError, InputError
 from refdgs_pipe.ground.shots import Shot
-from refdgs_pipe.masking import rounds
+from refdgs_pipe.masking import foot, rounds
 from refdgs_pipe.masking.cut import cut
 from refdgs_pipe.masking.files import distorted, write_masks
 from refdgs_pipe.masking.rounds import agreement, object_masks
@@ -102,10 +102,11 @@ def capture(
 
 @pytest.fixture
 def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Solids of few cells, which take half of the time: the photos are as small."""
+    """A solid, and the ground where its foot is looked for, of few cells: the photos are small."""
     levels = tuple(replace(level, solid=64) for level in rounds.LEVELS)
     monkeypatch.setattr(rounds, "LEVELS", levels)
     monkeypatch.setattr(rounds, "LAST", replace(rounds.LAST, solid=72))
+    monkeypatch.setattr(foot, "LEVELS", [replace(foot.LEVELS[-1], cells=192)])
 
 
 def overlap(one: np.ndarray, other: np.ndarray) -> float:

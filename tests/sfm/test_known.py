@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from captures import EXAMPLE, Stages
+from captures import Stages
 from PIL import Image
 
 from refdgs_pipe.artifacts.placement import Poses
@@ -42,14 +42,6 @@ def write_capture(
         )
     (folder / "transforms.json").write_text(json.dumps({"frames": frames}))
     return folder
-
-
-@pytest.fixture(scope="module")
-def placed(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Path], SparseModel]:
-    """A dozen photos of the example, placed by themselves."""
-    photos = sorted(EXAMPLE.glob("*.jpg"))[-12:]
-    stages = Stages(tmp_path_factory.mktemp("placed"))
-    return photos, stages.sfm(stages.ingest(*photos), **QUICK)
 
 
 def test_photos_with_poses_alone_get_points_where_the_lens_counts(

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from captures import EXAMPLE, ROOT, SHARED, Stages, needs_shared
+from captures import ROOT, SHARED, Stages, needs_shared
 from PIL import Image
 
 from refdgs_pipe.artifacts.sparse_model import SparseModel
@@ -37,9 +37,10 @@ def errors_in_percent(model: SparseModel) -> F64:
     return np.asarray(100 * np.linalg.norm(scale * a @ (U @ flip @ Vt).T - b, axis=1) / distance)
 
 
-def test_a_dozen_photos_find_the_same_places_every_time_also_among_copies(tmp_path: Path) -> None:
-    photos = sorted(EXAMPLE.glob("*.jpg"))[-12:]  # with 1,500 points; the first twelve find 49
-    first = Stages(tmp_path / "a").sfm(Stages(tmp_path / "v").ingest(*photos), **QUICK)
+def test_a_dozen_photos_find_the_same_places_every_time_also_among_copies(
+    placed: tuple[list[Path], SparseModel], tmp_path: Path
+) -> None:
+    photos, first = placed
     assert len(first.cameras) == 12
     assert first.up.tolist() == pytest.approx([0, 0, 1])
     assert first.ball.radius == pytest.approx(1.0)

@@ -17,7 +17,7 @@ from refdgs_pipe.texture.material import Painter
 from refdgs_pipe.texture.refining import Refiner
 from refdgs_pipe.texture.texels import rasterize
 
-SIZE = 512
+SIZE = 1024
 
 
 @pytest.fixture(scope="module")
@@ -25,16 +25,16 @@ def painted() -> TexturedMesh:
     """A ball with smooth colours, cut by UVAtlas as a run cuts it."""
     solid = sphere(40)
     mesh = charts.unwrap(
-        Mesh(solid.vertices, solid.faces), gutter=4 / SIZE, max_stretch=0.05, timeout_s=120
+        Mesh(solid.vertices, solid.faces), gutter=4 / 1024, max_stretch=0.05, timeout_s=120
     ).mesh
     scene = Scene((Sphere((0, 0, 0), 1.0, waves, roughness=0.3),), gradient_sky)
     painter = Painter(mesh, SIZE, tolerance=0.03)
-    for camera in orbit(24, size=100, focal=150):
+    for camera in orbit(24, size=200, focal=300):
         painter.add(scene.surface_map(camera))
     return painter.paint(appearance(mesh.vertices))
 
 
-@pytest.fixture(scope="module", params=[(8, 80), (24, 100)], ids=["coarse", "fine"])
+@pytest.fixture(scope="module", params=[(8, 160), (24, 200)], ids=["coarse", "fine"])
 def corrected(request: pytest.FixtureRequest, painted: TexturedMesh) -> TexturedMesh:
     """The ball, painted too dark, after photos: few and small ones, or many."""
     count, side = request.param
