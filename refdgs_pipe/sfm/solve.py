@@ -25,7 +25,7 @@ HOPE = 0.25  # share of photos trusted below which adapting features will not re
 SLOW_FEATURES = 4096  # of a photo, on the rung that adapts each feature
 
 _PATTERN = (
-    "the ground repeats: the photos are placed by what does not repeat on it, not by features"
+    "the ground repeats: the photos are placed by its pattern, and by what tells its repeats apart"
 )
 
 Run = Callable[[dict[str, Any]], tuple[Poses, tuple[str, ...]]]
@@ -65,7 +65,8 @@ def solve(
     Around a still object the background helps, on a turntable it misleads: with `masks` "auto"
     everything counts at first, then only the object, then only the background. Rungs:
     as the settings say; the pattern of the ground, where it repeats; finer features; finer and
-    fainter ones; the masks; and features adapted to steep views.
+    fainter ones; the masks; and features adapted to steep views. Nothing follows a pattern that
+    places more than the features before it.
 
     Args:
         run: calls `colmap.reconstruct` with these arguments, in a process of its own.
@@ -76,7 +77,7 @@ def solve(
     mat = seen_in_files(pictures.folder, files, threads=effort.threads)
     shots = shots_of(views, pictures.sizes)
     effort = effort.for_photos(pictures.sizes)
-    so_far, stands_still, repeats = _SoFar(len(views.items)), False, False
+    so_far, repeats = _SoFar(len(views.items)), False
     for rung in _rungs(effort, masks, is_masked=views.background != "photo"):
         if not rung.only_from <= so_far.share < rung.only_below:
             continue
@@ -90,7 +91,6 @@ def solve(
             }
         )
         is_first = not so_far.attempts
-        stands_still = stands_still or bool(said)
         so_far.keep(rung.name, found_by_mat(poses, mat, shots, line_mm=line_mm), said)
         if is_first and so_far.share < GOOD:
             alone = placed_by_mat(mat, shots, line_mm=line_mm)
@@ -98,10 +98,12 @@ def solve(
                 so_far.keep("the printed mat alone", alone, ())
         if is_first and so_far.share < GOOD:
             repeats = ground_repeats(pictures.folder, shots, effort.threads)
-            if repeats and not stands_still:
+            if repeats and not said:  # nothing is said of a background that stands still
                 by_pattern = placed_by_pattern(pictures.folder, shots, effort.threads, told)
                 if by_pattern is not None:
-                    so_far.keep("the pattern of the ground alone", by_pattern, (_PATTERN,))
+                    so_far.keep("the pattern of the ground", by_pattern, (_PATTERN,))
+                    if so_far.best is by_pattern:
+                        break  # features mislead on such a ground
     attempts = tuple(so_far.attempts)
     placement = Placement(so_far.best, attempts, so_far.notes, repeats=repeats)
     return placement if so_far.best is None else _measured(placement, so_far.best, mat, line_mm)

@@ -10,7 +10,7 @@ from refdgs_pipe.sfm.pattern.beside import Beside, agreeing, matches
 from refdgs_pipe.sfm.pattern.cells import SharedCell, shared_cell, turn
 from refdgs_pipe.sfm.pattern.graph import laid_out
 from refdgs_pipe.sfm.pattern.lattice import find_lattice, mapped
-from refdgs_pipe.sfm.pattern.pairs import REACH, SHIFTS, Evidence, evidence, look_of
+from refdgs_pipe.sfm.pattern.pairs import REACH, SHIFTS, Evidence, evidence, prepared
 from refdgs_pipe.sfm.pattern.topview import refined, residual, settled
 
 PERIOD = 40  # pixels of the cloth
@@ -108,12 +108,12 @@ def test_cells_of_half_a_period_are_made_whole(shared: Shared) -> None:
 
 def test_stains_tell_which_checks_are_the_same(shared: Shared) -> None:
     cell, greys, ways = shared
-    looks = []
+    photos = []
     for k, grey in enumerate(greys[:2]):
-        view = residual(cell.lattices[k], grey, CELL, cell.median)
+        view = residual(cell.lattices[k], grey, cell.median)
         middle = np.median(cell.lattices[k].nodes, axis=0)
-        looks.append(look_of(view, middle, NOTHING, tuple(cell.offsets), 1))
-    said = evidence(looks[0], looks[1], cell.offsets, CELL, 1)
+        photos.append(prepared(view, middle, NOTHING, tuple(cell.offsets), 1))
+    said = evidence(photos[0], photos[1], cell.offsets, 1)
     turns = max(said.table, key=lambda k: said.table[k].max())
     row, column = np.unravel_index(int(said.table[turns].argmax()), (SHIFTS, SHIFTS))
     shift = said.start[turns] + np.array([column, row])
@@ -128,7 +128,7 @@ def test_what_does_not_look_like_the_ground_is_no_ground(shared: Shared) -> None
     cell, greys, _ = shared
     grey = greys[0].copy()
     cv2.circle(grey, (320, 240), 60, 128, -1)
-    view = residual(cell.lattices[0], grey, CELL, cell.median)
+    view = residual(cell.lattices[0], grey, cell.median)
     inside = mapped(np.linalg.inv(cell.lattices[0].pixels_from_cells), np.array([[320.0, 240]]))[0]
     x, y = np.round((inside - view.origin) * CELL + (len(view.known) - 1) / 2).astype(int)
     assert not view.known[y - 10 : y + 10, x - 10 : x + 10].any()

@@ -84,7 +84,7 @@ def test_a_ground_that_repeats_places_what_features_left(
     views: Views, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("refdgs_pipe.sfm.solve.ground_repeats", lambda *a: True)
-    monkeypatch.setattr("refdgs_pipe.sfm.solve.placed_by_pattern", lambda *a: poses(COUNT))
+    monkeypatch.setattr("refdgs_pipe.sfm.solve.placed_by_pattern", lambda *a: poses(6))
 
     def run(arguments: dict[str, Any]) -> tuple[Poses, tuple[str, ...]]:
         return poses(2), ()
@@ -92,8 +92,27 @@ def test_a_ground_that_repeats_places_what_features_left(
     pictures = plain_images(views, tmp_path)
     found = solve(views, pictures, PLAIN, masks="auto", scratch=tmp_path, run=run)
     assert found.repeats and found.poses is not None
-    assert len(found.poses.cam_from_world) == COUNT
-    assert len(found.attempts) == 2  # nothing else is tried after it
+    assert len(found.poses.cam_from_world) == 6
+    assert len(found.attempts) == 2  # features mislead here: no more rungs for the other two
+
+
+def test_a_pattern_that_places_less_than_features_ends_nothing(
+    views: Views, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("refdgs_pipe.sfm.solve.ground_repeats", lambda *a: True)
+    monkeypatch.setattr("refdgs_pipe.sfm.solve.placed_by_pattern", lambda *a: poses(4))
+    places = iter([5, 6, 7, 7])
+    pictures = plain_images(views, tmp_path)
+    found = solve(
+        views,
+        pictures,
+        PLAIN,
+        masks="auto",
+        scratch=tmp_path,
+        run=lambda arguments: (poses(next(places)), ()),
+    )
+    assert found.poses is not None and len(found.poses.cam_from_world) == 7
+    assert len(found.attempts) == 5
 
 
 def test_where_the_background_stands_still_the_pattern_places_nothing(

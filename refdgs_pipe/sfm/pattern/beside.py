@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from refdgs_pipe.camera import F64, Lens
 from refdgs_pipe.sfm.pattern.cells import turn
-from refdgs_pipe.sfm.pattern.lattice import U8, mapped
+from refdgs_pipe.sfm.pattern.lattice import U8, mapped, root_sift
 from refdgs_pipe.sfm.pattern.topview import SIDE, TopView
 
 MOST_FEATURES = 6000
@@ -39,26 +39,29 @@ class Beside:
 
 
 def features_beside(
-    grey: U8, pixels_from_cells: F64, view: TopView, cell: int, lens: Lens, cam_from_cells: F64
+    grey: U8, pixels_from_cells: F64, view: TopView, lens: Lens, cam_from_cells: F64
 ) -> Beside:
-    """SIFT of a photo (H, W) without what lies where `view` shows the ground."""
+    """SIFT features of a photo (H, W), without those where `view` shows the ground.
+
+    Args:
+        pixels_from_cells: (3, 3) homography; cam_from_cells: (4, 4), as in `Beside`.
+    """
     sift = cv2.SIFT.create(MOST_FEATURES, 3, 0.015, 12, 1.6)
     keys, looks = sift.detectAndCompute(grey, None)
     pixels = np.array([key.pt for key in keys], float).reshape(-1, 2) + 0.5
     cells = mapped(np.asarray(np.linalg.inv(pixels_from_cells), np.float64), pixels)
-    at = np.round((cells - view.origin) * cell + (SIDE - 1) / 2)
+    at = np.round((cells - view.origin) * view.cell + (SIDE - 1) / 2)
     inside = np.asarray((np.abs(at - SIDE / 2) < SIDE / 2 - 1).all(axis=1))
     at = np.where(inside[:, None], at, 0).astype(int)
     ground = np.asarray(cv2.dilate(view.known, np.ones((3, 3), np.uint8)))
     rest = ~(inside & (ground[at[:, 1], at[:, 0]] > 0))
     if not rest.any():
         return Beside(np.zeros((0, 3)), np.zeros((0, 128), np.float32), cam_from_cells, 0.0)
-    looks = np.sqrt(looks / np.maximum(looks.sum(1, keepdims=True), 1e-9)).astype(np.float32)
     flat = cv2.undistortPoints(pixels[rest][:, None], lens.K, lens.distortion)[:, 0]
     rays = np.concatenate([flat, np.ones((len(flat), 1))], 1)
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     off = OFF_PX * max(grey.shape) / 640 / float(lens.K[0, 0])
-    return Beside(rays, looks[rest], cam_from_cells, off)
+    return Beside(rays, root_sift(looks[rest]), cam_from_cells, off)
 
 
 def matches(one: Beside, other: Beside) -> tuple[F64, F64] | None:
@@ -81,7 +84,7 @@ def matches(one: Beside, other: Beside) -> tuple[F64, F64] | None:
 def agreeing(
     one: Beside, other: Beside, matched: tuple[F64, F64], quarters: int, shifts: F64
 ) -> NDArray[np.int64]:
-    """(m,) matches that fit if the other photo's cells lie turned and moved by shifts (m, 2).
+    """(m,) how many matches fit with the other photo's cells turned and moved by shifts (m, 2).
 
     A match fits if its rays meet before both cameras, nearly in one plane with the line between
     the cameras (Hartley and Zisserman 2004, 9.2).

@@ -36,7 +36,7 @@ FINER = 8  # times: the grid that a shift between two cells is searched on
 
 @dataclass(frozen=True)
 class SharedCell:
-    """What the lattices of some photos have in common.
+    """What the lattices of some photos have in common. A photo is its number in the list.
 
     Args:
         lattices: photo -> its lattice, moved so that whole numbers are the same place of the

@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 
 from refdgs_pipe.camera import F64
 from refdgs_pipe.sfm.pattern.cells import turn
-from refdgs_pipe.sfm.pattern.pairs import REACH, SHIFTS, Evidence
+from refdgs_pipe.sfm.pattern.pairs import GRID, REACH, SHIFTS, Evidence, starts
 
 F32 = NDArray[np.float32]
 Pairs = Mapping[tuple[int, int], Evidence]
 
 DECIDES = 1.5  # times what speaks for the next best place, that has to speak for the best
-CONFIRMED = 3  # photos that each have to say more for a place
-SAYS = 4.0  # than chance does
+CONFIRMED = 3  # photos that have to speak for a place on their own,
+ALONE = 4.0  # each with a figure above this
 ROUNDS = 6
 
 
@@ -44,7 +44,7 @@ def laid_out(middles: F64, pairs: Pairs, offsets: Mapping[int, F64]) -> dict[int
     ground = _Ground(middles, pairs, offsets)
     laid = ground.grown(max(sorted(pairs), key=lambda pair: _lead(pairs[pair]))[0])
     for _ in range(ROUNDS):
-        moved = {k: ground.best(ground.said(k, laid)).place for k in laid}
+        moved = {k: ground.best(ground.total(k, laid)).place for k in laid}
         if all(_same(moved[k], laid[k]) for k in laid):
             break
         laid = moved
@@ -85,21 +85,11 @@ class _Best:
         return self.first / max(self.second, 1e-6) if self.first > 0 else 0.0
 
 
-@dataclass(frozen=True)
-class _Said:
-    """What speaks for each place: quarter turns -> (SHIFTS, SHIFTS) from a least shift (2,) on."""
-
-    start: dict[int, F64]
-    table: dict[int, F32]
-
-
 class _Ground:
     """What all pairs say. Tables grow from a seed photo, whose frame is the ground's."""
 
     def __init__(self, middles: F64, pairs: Pairs, offsets: Mapping[int, F64]) -> None:
         self.middles, self.pairs, self.offsets = middles, pairs, offsets
-        steps = np.arange(SHIFTS)
-        self.grid = np.stack(np.meshgrid(steps, steps), -1)
         self.seed = 0
 
     def grown(self, seed: int) -> dict[int, Laid]:
@@ -109,43 +99,44 @@ class _Ground:
         sums = {k: self._empty(k) for k in range(len(self.middles)) if k != seed}
         newest = seed
         while sums:
-            for k, said in sums.items():
-                self._add(said, k, newest, laid[newest])
-            bests = {k: self.best(said) for k, said in sums.items()}
+            for k, total in sums.items():
+                self._add(total, k, newest, laid[newest])
+            bests = {k: self.best(total) for k, total in sums.items()}
             newest = max(bests, key=lambda k: bests[k].first - bests[k].second)
             laid[newest] = bests[newest].place
             del sums[newest]
         return laid
 
-    def said(self, k: int, laid: Mapping[int, Laid]) -> _Said:
-        """What the laid photos, without itself, say about a photo's place."""
-        said = self._empty(k)
+    def total(self, k: int, laid: Mapping[int, Laid]) -> Evidence:
+        """What all laid photos but itself say about a photo's place."""
+        total = self._empty(k)
         for other, place in laid.items():
             if other != k:
-                self._add(said, k, other, place)
-        return said
+                self._add(total, k, other, place)
+        return total
 
-    def best(self, said: _Said) -> _Best:
+    def best(self, total: Evidence) -> _Best:
+        """The place with the highest figure, and how high the next is."""
         first, second, place = -np.inf, -np.inf, Laid(0, np.zeros(2))
-        for k, table in said.table.items():
+        for k, table in total.table.items():
             top = np.partition(table.ravel(), -2)[-2:]
             if top[1] > first:
                 second = max(first, float(top[0]))
                 row, column = np.unravel_index(int(table.argmax()), table.shape)
-                first, place = float(top[1]), Laid(k, said.start[k] + np.array([column, row]))
+                first, place = float(top[1]), Laid(k, total.start[k] + np.array([column, row]))
             else:
                 second = max(second, float(top[1]))
         return _Best(place, first, second)
 
     def stands(self, k: int, laid: Mapping[int, Laid]) -> float:
         """How clearly the others put a photo where it lies; 0 if elsewhere, or if few say so."""
-        best, mine = self.best(self.said(k, laid)), laid[k]
-        said = [
+        best, mine = self.best(self.total(k, laid)), laid[k]
+        alone = [
             float(self._pair(other, k, place, mine.turns, mine.shift))
             for other, place in laid.items()
             if other != k
         ]
-        few = sum(value > SAYS for value in said) < CONFIRMED
+        few = sum(figure > ALONE for figure in alone) < CONFIRMED
         return 0.0 if few or not _same(best.place, mine) else best.clearness
 
     def loose_part(self, laid: Mapping[int, Laid]) -> set[int]:
@@ -165,19 +156,16 @@ class _Ground:
     def _holds(self, part: set[int], laid: Mapping[int, Laid]) -> float:
         """How clearly the pairs across say that a part is not turned or moved as a whole."""
         rest = [k for k in laid if k not in part]
-        tables = {k: np.zeros((SHIFTS, SHIFTS), np.float32) for k in self.offsets}
-        pivot = self.middles[min(part)]
-        anchor = laid[min(part)]
-        centre = turn(anchor.turns) @ pivot + anchor.shift
+        first = min(part)
+        centre = turn(laid[first].turns) @ self.middles[first] + laid[first].shift
+        start = starts(centre, centre, self.offsets)
+        tables = {k: np.zeros((SHIFTS, SHIFTS), np.float32) for k in start}
         for k, table in tables.items():
-            offset = self.offsets[k] + np.round(centre - turn(k) @ centre - self.offsets[k])
-            whole = self.grid - REACH + (offset if k else np.zeros(2))
             for b in sorted(part):
-                place = laid[b]
-                moved = whole + turn(k) @ place.shift
+                moved = GRID + start[k] + turn(k) @ laid[b].shift
                 for a in rest:
-                    table += self._pair(a, b, laid[a], (k + place.turns) % 4, moved)
-        now = float(tables[0][REACH, REACH])
+                    table += self._pair(a, b, laid[a], (k + laid[b].turns) % 4, moved)
+        now = float(tables[0][REACH, REACH])  # neither turned nor moved
         tables[0][REACH, REACH] = -np.inf
         other = max(float(table.max()) for table in tables.values())
         return now / max(other, 1e-6) if now > 0 else 0.0
@@ -199,27 +187,23 @@ class _Ground:
             parent[b] = a
             inside.add(b)
         below: dict[int, set[int]] = {k: {k} for k in photos}
-        for k in reversed(list(parent)):  # those added last are nobody's parents before them
+        for k in reversed(list(parent)):  # a photo was added after its parent
             below[parent[k]] |= below[k]
         return [below[k] for k in parent]
 
-    def _empty(self, k: int) -> _Said:
-        start, table = {}, {}
-        for quarters, offset in self.offsets.items():
-            near = self.middles[self.seed] - turn(quarters) @ self.middles[k]
-            start[quarters] = offset + np.round(near - offset) - REACH
-            table[quarters] = np.zeros((SHIFTS, SHIFTS), np.float32)
-        return _Said(start, table)
+    def _empty(self, k: int) -> Evidence:
+        start = starts(self.middles[self.seed], self.middles[k], self.offsets)
+        return Evidence(start, {q: np.zeros((SHIFTS, SHIFTS), np.float32) for q in start})
 
-    def _add(self, said: _Said, k: int, other: int, place: Laid) -> None:
-        for quarters, table in said.table.items():
-            table += self._pair(other, k, place, quarters, self.grid + said.start[quarters])
+    def _add(self, total: Evidence, k: int, other: int, place: Laid) -> None:
+        for quarters, table in total.table.items():
+            table += self._pair(other, k, place, quarters, GRID + total.start[quarters])
 
     def _pair(self, a: int, b: int, place: Laid, quarters: int, shifts: F64) -> F32:
         """(...) what speaks for b on the ground turned and moved by shifts (..., 2), a lying there
         as it does."""
         relative = (quarters - place.turns) % 4
-        moved = (shifts - place.shift) @ turn(place.turns)  # the turn back, from the left
+        moved = (shifts - place.shift) @ turn(place.turns)  # rows times R: R's inverse of each
         if (a, b) in self.pairs:
             return self.pairs[a, b].at(relative, moved)
         if (b, a) in self.pairs:

@@ -109,8 +109,13 @@ def _keys(grey: U8, scale: float) -> tuple[F64, NDArray[np.float32]]:
     if not keys:
         return np.zeros((0, 2)), np.zeros((0, 128), np.float32)
     found, looks = sift.compute(grey, keys)
-    looks = np.sqrt(looks / np.maximum(looks.sum(1, keepdims=True), 1e-9)).astype(np.float32)
-    return np.array([key.pt for key in found], float) + 0.5, looks
+    return np.array([key.pt for key in found], float) + 0.5, root_sift(looks)
+
+
+def root_sift(descriptors: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(n, 128) unit descriptors from SIFT's (Arandjelovic and Zisserman 2012)."""
+    total = np.maximum(descriptors.sum(1, keepdims=True), 1e-9)
+    return np.asarray(np.sqrt(descriptors / total), np.float32)
 
 
 def _first_cells(seed: F64, near: F64, members: F64) -> list[F64]:
@@ -166,7 +171,10 @@ def _grown(homography: F64, points: F64, scale: float) -> Lattice | None:
 
 
 def _area(pixels: F64) -> float:
-    """Of the hull of some points (n, 2). The floor behind a table may have more, smaller cells."""
+    """Square pixels in the hull of points (n, 2).
+
+    A table fills more of a photo than the floor behind it, though the floor may show more cells.
+    """
     return float(cv2.contourArea(cv2.convexHull(pixels.astype(np.float32))))
 
 

@@ -5,6 +5,7 @@ as it is, the shift whole cells beside a known offset. Two things are held again
 all of them: what does not repeat on the ground, and features beside it.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,14 +23,15 @@ C64 = NDArray[np.complex64]
 PADDED = 2 * SIDE
 REACH = 24  # cells that one photo's middle may lie from the other's
 SHIFTS = 2 * REACH + 1
+GRID = np.stack(np.meshgrid(np.arange(SHIFTS), np.arange(SHIFTS)), -1)  # shifts from the least on
 LEAST_OVERLAP = 12.0  # cells that both show
 LEAST_PLACES = 50  # with such an overlap, that tell how much chance says
 LEAST_SPREAD = 1.0  # of what chance says, as if the pixels had nothing to do with each other
 
 
 @dataclass(frozen=True)
-class Look:
-    """A photo for comparing.
+class Prepared:
+    """A photo that is ready to be compared.
 
     Args:
         view: the ground from above, without what repeats; middle: (2,) of its cells.
@@ -49,8 +51,8 @@ class Evidence:
 
     Args:
         start: quarter turns -> (2,) the least shift; the others are whole cells from there.
-        table: quarter turns -> (SHIFTS, SHIFTS) rows y, columns x, about 1 where nothing but
-            chance speaks for a place.
+        table: quarter turns -> (SHIFTS, SHIFTS) rows y, columns x. Where only chance speaks for a
+            place, the figures of a pair are about 0, their spread about 1.
     """
 
     start: dict[int, F64]
@@ -66,9 +68,20 @@ class Evidence:
         return np.where(inside, self.table[quarters][steps[..., 1], steps[..., 0]], np.float32(0))
 
 
-def look_of(
+def starts(one: F64, other: F64, offsets: Mapping[int, F64]) -> dict[int, F64]:
+    """Quarter turns -> (2,) the least shift of a table about the place where two middles meet.
+
+    Args:
+        one, other: (2,) the middles, cells.
+        offsets: quarter turns -> (2,) what a shift is beside whole cells.
+    """
+    near = {k: one - turn(k) @ other - offset for k, offset in offsets.items()}
+    return {k: offsets[k] + np.round(by) - REACH for k, by in near.items()}
+
+
+def prepared(
     view: TopView, middle: F64, beside: Beside, turns: tuple[int, ...], threads: int
-) -> Look:
+) -> Prepared:
     """A photo, ready to be compared after each of some quarter turns."""
 
     def of(a: F32) -> C64:
@@ -78,47 +91,42 @@ def look_of(
     for k in turns:
         values, known = np.rot90(view.values, k), np.rot90(view.known, k)
         turned[k] = of(values), of(known), of(values * values)
-    return Look(view, middle, beside, turned)
+    return Prepared(view, middle, beside, turned)
 
 
-def evidence(one: Look, other: Look, offsets: dict[int, F64], cell: int, threads: int) -> Evidence:
+def evidence(one: Prepared, other: Prepared, offsets: Mapping[int, F64], threads: int) -> Evidence:
     """All ways in which the second photo may lie on the first.
 
     Args:
         offsets: quarter turns -> (2,) what the shift is beside whole cells.
     """
-    start = {}
-    for k, offset in offsets.items():
-        near = one.middle - turn(k) @ other.middle
-        start[k] = offset + np.round(near - offset) - REACH
-    ground = _on_the_ground(one, other, start, cell, threads)
+    start = starts(one.middle, other.middle, offsets)
+    ground = _on_the_ground(one, other, start, threads)
     matched = matches(one.beside, other.beside)
     if matched is None:
         return Evidence(start, ground)
-    steps = np.arange(SHIFTS)
-    grid = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2)
     counts = {
-        k: agreeing(one.beside, other.beside, matched, k, grid + least).reshape(SHIFTS, SHIFTS)
+        k: agreeing(one.beside, other.beside, matched, k, GRID.reshape(-1, 2) + least)
         for k, least in start.items()
     }
-    chance = float(np.mean([c.mean() for c in counts.values()]))
-    both = {k: ground[k] + (counts[k] - chance) / np.sqrt(chance + 1) for k in start}
-    return Evidence(start, {k: np.asarray(table, np.float32) for k, table in both.items()})
+    chance = float(np.mean([count.mean() for count in counts.values()]))
+    for k, count in counts.items():
+        ground[k] += (count.reshape(SHIFTS, SHIFTS) - chance) / np.sqrt(chance + 1)
+    return Evidence(start, ground)
 
 
 def _on_the_ground(
-    one: Look, other: Look, start: dict[int, F64], cell: int, threads: int
+    one: Prepared, other: Prepared, start: dict[int, F64], threads: int
 ) -> dict[int, F32]:
     """Normalised correlation of the two views from above, each only where it is known
     (Padfield 2012), times the root of the overlap, by its spread over all places."""
     values, known, squares = one.turned[0]
+    cell = one.view.cell
 
     def back(a: C64) -> F32:
         found = fft.irfft2(a, (PADDED, PADDED), workers=threads, overwrite_x=True)
         return np.asarray(found, np.float32)
 
-    steps = np.arange(SHIFTS)
-    grid = np.stack(np.meshgrid(steps, steps), -1)
     fits = {}
     for k, (v, m, s) in other.turned.items():
         overlap = back(known * m.conj())
@@ -126,7 +134,7 @@ def _on_the_ground(
         like = back(values * v.conj()) / np.sqrt(np.maximum(energy, 1.0))
         enough = overlap > LEAST_OVERLAP * cell**2
         fit = np.where(enough, like * np.sqrt(np.maximum(overlap, 0)), np.nan)
-        moved = (grid + start[k] - one.view.origin + turn(k) @ other.view.origin) * cell
+        moved = (GRID + start[k] - one.view.origin + turn(k) @ other.view.origin) * cell
         pixels = np.round(moved).astype(int)
         inside = (np.abs(pixels) < SIDE - 1).all(-1)
         best = np.full(inside.shape, np.nan, np.float32)
@@ -139,4 +147,4 @@ def _on_the_ground(
     if len(said) < LEAST_PLACES:
         return {k: np.zeros_like(fit) for k, fit in fits.items()}
     spread = max(1.4826 * float(np.median(np.abs(said - np.median(said)))), LEAST_SPREAD)
-    return {k: np.nan_to_num(fit / spread, nan=0.0) for k, fit in fits.items()}
+    return {k: np.nan_to_num(fit / np.float32(spread), nan=0.0) for k, fit in fits.items()}

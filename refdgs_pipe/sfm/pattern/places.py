@@ -23,7 +23,7 @@ from refdgs_pipe.sfm.pattern.beside import features_beside
 from refdgs_pipe.sfm.pattern.cells import shared_cell, turn
 from refdgs_pipe.sfm.pattern.graph import Laid, laid_out
 from refdgs_pipe.sfm.pattern.lattice import Lattice, find_lattice, mapped
-from refdgs_pipe.sfm.pattern.pairs import Evidence, Look, evidence, look_of
+from refdgs_pipe.sfm.pattern.pairs import Evidence, Prepared, evidence, prepared
 from refdgs_pipe.sfm.pattern.topview import (
     CELL_PX,
     SMALLER,
@@ -41,8 +41,8 @@ LEAST_SHARE = 0.5  # of the photos with a lattice
 SPAN_DEG = 120.0
 SQUARE = 0.06  # of the sides and of their angle: so far a lattice is square
 WITHOUT_EXIF = 1.2  # focal length by the long side
-ALL_PAIRS = 60  # photos of which each is compared with each; of more, with its
-NEIGHBOURS = 20  # neighbours in the order of the files, and some others
+ALL_PAIRS = 60  # photos: up to so many, each is compared with each
+NEIGHBOURS = 20  # of more, each with so many next in the order of the files, and with some others
 
 
 @dataclass(frozen=True)
@@ -101,9 +101,9 @@ def placed_by_pattern(
     grounds = [g for g in grounds if g.file in alone.cam_from_world]
     if len(grounds) < least:
         return None
-    looks = _looks(grounds, alone, shared.median, tuple(offsets), threads)
-    middles = np.stack([look.middle for look in looks])
-    laid = laid_out(middles, _compared(looks, offsets, cell, threads, told), offsets)
+    photos = [_prepared(g, alone, shared.median, tuple(offsets), threads) for g in grounds]
+    middles = np.stack([photo.middle for photo in photos])
+    laid = laid_out(middles, _compared(photos, offsets, threads, told), offsets)
     if len(laid) < least:
         return None
     poses = _posed(grounds, laid, metric, group)
@@ -154,40 +154,33 @@ def _metric(grounds: list[_Ground], inverse: F64) -> F64:
     return np.array([[1.0, across], [0.0, along]])
 
 
-def _looks(
-    grounds: list[_Ground], alone: Poses, median: F64, turns: tuple[int, ...], threads: int
-) -> list[Look]:
-    """The photos, ready to be compared.
+def _prepared(
+    ground: _Ground, alone: Poses, median: F64, turns: tuple[int, ...], threads: int
+) -> Prepared:
+    """A photo, ready to be compared.
 
     Args:
         alone: each photo's place over its own cells; median: (cell, cell) of all cells.
     """
-    cell = len(median)
-
-    def look(ground: _Ground) -> Look:
-        view = residual(ground.lattice, ground.grey, cell, median)
-        lens = alone.lenses[alone.lens_of[ground.file]]
-        beside = features_beside(
-            ground.grey,
-            ground.lattice.pixels_from_cells,
-            view,
-            cell,
-            Lens(*opencv_lens(lens[0], lens[3])),
-            np.asarray(alone.cam_from_world[ground.file], np.float64),
-        )
-        return look_of(view, np.median(ground.lattice.nodes, axis=0), beside, turns, threads)
-
-    return [look(ground) for ground in grounds]
+    view = residual(ground.lattice, ground.grey, median)
+    lens = alone.lenses[alone.lens_of[ground.file]]
+    beside = features_beside(
+        ground.grey,
+        ground.lattice.pixels_from_cells,
+        view,
+        Lens(*opencv_lens(lens[0], lens[3])),
+        np.asarray(alone.cam_from_world[ground.file], np.float64),
+    )
+    return prepared(view, np.median(ground.lattice.nodes, axis=0), beside, turns, threads)
 
 
 def _compared(
-    looks: list[Look],
+    photos: list[Prepared],
     offsets: dict[int, F64],
-    cell: int,
     threads: int,
     told: Callable[[int, int], None],
 ) -> dict[tuple[int, int], Evidence]:
-    count = len(looks)
+    count = len(photos)
     stride = max(1, count // NEIGHBOURS)
     pairs = [
         (a, b)
@@ -198,7 +191,7 @@ def _compared(
     for done, (a, b) in enumerate(pairs):
         if done % 20 == 0:
             told(done, len(pairs))
-        found[a, b] = evidence(looks[a], looks[b], offsets, cell, threads)
+        found[a, b] = evidence(photos[a], photos[b], offsets, threads)
     return found
 
 

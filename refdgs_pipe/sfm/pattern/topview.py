@@ -57,12 +57,13 @@ class TopView:
 
     Args:
         values: (SIDE, SIDE) about -2 to 2, 0 where unknown; known: (SIDE, SIDE) 0 or 1.
-        origin: (2,) cell in the middle.
+        origin: (2,) cell in the middle; cell: pixels of a cell.
     """
 
     values: F32
     known: F32
     origin: F64
+    cell: int
 
 
 def settled(lattice: Lattice, grey: U8, gram_of: F64) -> Lattice:
@@ -94,8 +95,9 @@ def refined(lattice: Lattice, grey: U8, cell: int, shared: F64 | None = None) ->
     fitted to the moved cells. Done four times.
 
     Args:
-        shared: (cell, cell) to move them onto instead; its middle gets whole numbers. The lattice
-            fits it to a fraction of a cell.
+        cell: pixels of a cell from above.
+        shared: (cell, cell) the cell to move them onto instead, as `median_cell` gives it. The
+            lattice has to fit it to a fraction of a cell; whole numbers become its middle.
     """
     for _ in range(REFINED):
         origin = np.round(np.median(lattice.nodes, axis=0))
@@ -135,6 +137,7 @@ def refined(lattice: Lattice, grey: U8, cell: int, shared: F64 | None = None) ->
 
 
 def _soft(shared: F64) -> F64:
+    """A cell (cell, cell) that repeats, as blurred as the views that it is held against."""
     return np.asarray(ndimage.gaussian_filter(shared, SOFT, mode="wrap"))
 
 
@@ -146,8 +149,9 @@ def _tiled(shared: F64) -> F64:
     return np.asarray(ndimage.map_coordinates(shared, where, order=1, mode="grid-wrap"))
 
 
-def _like(top: F32, known: NDArray[np.bool_], tiled: F64, cell: int) -> F64:
-    """(SIDE, SIDE) correlation of a view with the tiled cell in windows of about a cell."""
+def _like(top: F32, known: NDArray[np.bool_], shared: F64) -> F64:
+    """(SIDE, SIDE) correlation of a view with the shared cell in windows of about a cell."""
+    cell, tiled = len(shared), _tiled(_soft(shared))
     window = (2 * (round(WINDOW * cell) // 2) + 1,) * 2
     weight = cv2.boxFilter(known.astype(np.float64), -1, window)
 
@@ -171,7 +175,7 @@ def _in_cells(a: NDArray[Any], cell: int) -> NDArray[Any]:
 
 
 def median_cell(lattice: Lattice, grey: U8, cell: int) -> tuple[F64, float] | None:
-    """(cell, cell) the median of a photo's cells, mean 0, and whether it is one period.
+    """(cell, cell) the median of a photo's cells, mean 0; and whether it is one period.
 
     Its middle lies at `cell_middle` beside whole numbers. The second figure is the least
     correlation between the median of every other cell and that of the rest, for columns, rows
@@ -218,19 +222,20 @@ def cell_in_photo(lattice: Lattice) -> float:
     return float(np.sqrt(np.median(_density(lattice, lattice.nodes))))
 
 
-def residual(lattice: Lattice, grey: U8, cell: int, shared: F64) -> TopView:
+def residual(lattice: Lattice, grey: U8, shared: F64) -> TopView:
     """What does not repeat.
 
     From each pixel the median of the same place in the cells around is taken away. What does not
     look like the shared cell is left out: it is the object.
 
     Args:
-        lattice: whole numbers are the middle of the shared cell; cell: pixels of a cell from above.
-        shared: (cell, cell) what all cells look like.
+        lattice: whole numbers are the middle of the shared cell.
+        shared: (cell, cell) what all cells look like, as `median_cell` gives it.
     """
+    cell = len(shared)
     origin = np.round(np.median(lattice.nodes, axis=0))
     top, known = _from_above(lattice, grey, cell, origin, FARTHER_CELLS)
-    known &= _like(top, known, _tiled(_soft(shared)), cell) > GROUND
+    known &= _like(top, known, shared) > GROUND
     value = np.where(known, top, np.nan)
     wide = np.pad(value, AROUND * cell, constant_values=np.nan)
     steps = range(0, 2 * AROUND * cell + 1, cell)
@@ -244,7 +249,7 @@ def residual(lattice: Lattice, grey: U8, cell: int, shared: F64) -> TopView:
     )
     known &= np.isfinite(repeats).sum(0) >= LEAST_REPEATS
     if not known.any():
-        return TopView(np.zeros_like(top), known.astype(np.float32), origin)
+        return TopView(np.zeros_like(top), known.astype(np.float32), origin, cell)
     rest = np.zeros_like(top)
     rest[known] = value[known] - np.nanmedian(repeats[:, known], axis=0)
     spread = max(1.5 * float(np.median(np.abs(rest[known]))), 1e-6)
@@ -254,7 +259,7 @@ def residual(lattice: Lattice, grey: U8, cell: int, shared: F64) -> TopView:
     weight = cv2.GaussianBlur(known.astype(np.float32), (0, 0), cell / 2)
     level = cv2.GaussianBlur(rest, (0, 0), cell / 2) / np.maximum(weight, 0.1)
     rest = np.where(known, rest - level, 0)
-    return TopView(rest.astype(np.float32), known.astype(np.float32), origin)
+    return TopView(rest.astype(np.float32), known.astype(np.float32), origin, cell)
 
 
 def _from_above(
