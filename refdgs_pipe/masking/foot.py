@@ -11,6 +11,7 @@ from refdgs_pipe.camera import F64
 from refdgs_pipe.ground.plane import Ground
 from refdgs_pipe.ground.shots import F32, Bools, whole_shots
 from refdgs_pipe.masking.levels import LEVELS
+from refdgs_pipe.masking.plain import plain_feet
 from refdgs_pipe.masking.repeating import covered, lattice
 from refdgs_pipe.masking.table import TOLERANCES, Table
 from refdgs_pipe.masking.walls import Wall, footprint, mirror_walls
@@ -24,8 +25,8 @@ class Foot:
 
     Args:
         walls: the flat mirrors that stand on the plane.
-        covered: (n, n) of a picture of the plane, where its pattern does not go on; None where
-            it does not repeat.
+        covered: (n, n) of a picture of the plane, where its pattern does not go on, or where a
+            plain body stands; None where nothing is known of that.
         radius: how far that picture reaches, world units.
     """
 
@@ -35,20 +36,22 @@ class Foot:
 
     def on(self, ground: Ground, n: int) -> Bools:
         """(n, n) the covered cells of another picture of the plane, with the same middle."""
+        behind = footprint(self.walls, ground, n)
         if self.covered is None:
-            return footprint(self.walls, ground, n)
+            return behind
         place = ((np.arange(n) + 0.5) / n * 2 - 1) * ground.radius / self.radius
         at = ((place + 1) / 2 * len(self.covered) - 0.5).astype(np.float32)
         x, y = np.meshgrid(at, at)
-        return np.asarray(
-            cv2.remap(self.covered.astype(np.float32), x, y, cv2.INTER_LINEAR, borderValue=0) > 0.5
-        )
+        wide = self.covered.astype(np.float32)
+        found = cv2.remap(wide, x, y, cv2.INTER_LINEAR, borderValue=0)
+        return np.asarray(behind | (found > 0.5))
 
 
 def foot(views: Views, model: SparseModel, plane: tuple[F64, float], threads: int) -> Foot:
     """Where the object stands, as far as the plane's picture alone can tell.
 
-    A ground that repeats tells it by its pattern. On another one, flat mirrors tell it.
+    A ground that repeats tells it by its pattern. On another one, flat mirrors and plain bodies
+    tell it.
 
     Args:
         plane: unit normal and offset, world.
@@ -61,7 +64,9 @@ def foot(views: Views, model: SparseModel, plane: tuple[F64, float], threads: in
     pattern = lattice(table.colour.mean(-1), table.share)
     if pattern is None:
         centers = np.stack([shot.camera.center for shot in shots])
-        return Foot(mirror_walls(table, seen, centers, ball.radius))
+        plain = plain_feet(table.colour, seen, ground, centers, ball.radius)
+        walls = mirror_walls(table, seen, centers, ball.radius)
+        return Foot(walls, plain if plain.any() else None, ground.radius)
     return Foot([], covered(table.colour, _agreeing(table, seen), pattern), ground.radius)
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import more_objects as m
 import numpy as np
 import objects as o
 import places as p
@@ -70,4 +71,8 @@ RECIPES = {
     "vinyl": Recipe(o.white_jug, p.vinyl, "office", p.rings, seed=39, checking=True),
     "brick": Recipe(o.mirror_box, p.bricks, "square", p.spiral, seed=41, checking=True),
     "case": Recipe(o.lacquer_box, p.dots, "attic", p.three_quarters, seed=37, checking=True),
+    "teapot": Recipe(m.teapot, p.planks, "room_b", p.rings, seed=43, checking=True),
+    "trophy": Recipe(m.trophy, papers, "office", p.spiral, seed=45),
+    "phone": Recipe(m.phone, p.stone, "room_b", p.rings, seed=47, drift=0.05),
+    "car": Recipe(m.car, p.mosaic, "attic", p.spiral, seed=49),
 }

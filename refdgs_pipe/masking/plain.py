@@ -1,0 +1,170 @@
+"""Plain bodies that stand on the plane: told from plain paper by what they hide.
+
+Photos from all sides agree on the one colour of a plain plinth, as if it lay flat on the plane. But
+a body hides what lies behind it. So just outside of the region of that colour, photos that look
+across the region see the body, and only photos from the other side see the plane. A body that only
+hangs over the plane is told from one that stands on it by these: below it they see the plane.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from refdgs_pipe.camera import F64
+from refdgs_pipe.ground.plane import Ground
+from refdgs_pipe.ground.shots import F32, Bools
+
+SEEDS = 8  # cells between places that a region is grown from
+PLAIN = 0.35  # of log colour, within a region
+WITHIN = 1.3  # ball radii from the middle: farther out it is the table
+LEAST_AREA = 0.02  # square ball radii
+CLOSED = 7  # cells: gaps in a region that are closed
+EDGE = 2, 6  # cells beside a region's border that are looked at, on either side
+DIFFERS = 0.25  # of log colour, between what a photo shows and what the photos agree on
+LIKE = 0.5  # of log colour, from the region's, of what may be the same body
+ACROSS = 0.5  # cosine between a border's outward direction and that to a camera
+SECTORS = 8  # of outward directions
+HIDDEN, HIDDEN_LEAST = 0.55, 0.4  # share of the photos across that see something else: median of
+# the sectors, and all sectors but one
+SHOWN = 0.2  # the same share of the photos before the border, at most
+GOES_ON = 0.6  # how much as often a photo across sees the region's colour outside as inside
+OFTEN = 0.2  # how often it sees it inside, at least
+FOOT = 0.6  # how often a photo before the border sees the region's colour inside, at least: median
+# of the sectors
+
+
+def plain_feet(colour: F32, seen: F32, ground: Ground, centers: F64, radius: float) -> Bools:
+    """(n, n) where a plain body stands.
+
+    Args:
+        colour: (n, n, 3) log colour of the plane, on which photos agree; NaN where unknown.
+        seen: (N, n, n, 3) the plane as each photo shows it; NaN where it does not.
+        ground: of these pictures; centers: (N, 3) of the cameras, world.
+        radius: of the ball, world units.
+    """
+    n = len(colour)
+    off = centers - ground.origin
+    cameras = np.stack([off @ ground.a, off @ ground.b], 1)
+    place = ((np.arange(n) + 0.5) / n * 2 - 1) * ground.radius
+    x, y = np.meshgrid(place, place)
+    far = np.hypot(x, y) / radius
+    even = cv2.medianBlur(np.nan_to_num(colour, nan=-9.0).astype(np.float32), 5)
+    least = LEAST_AREA * radius**2 / (2 * ground.radius / n) ** 2
+    out, tried = np.zeros((n, n), bool), ~np.isfinite(colour[..., 0])
+    for row in range(SEEDS // 2, n, SEEDS):
+        for column in range(SEEDS // 2, n, SEEDS):
+            if tried[row, column] or far[row, column] > 1:
+                continue
+            alike = (np.abs(even - even[row, column]).max(-1) < PLAIN).astype(np.uint8)
+            labels = cv2.connectedComponents(alike, connectivity=4)[1]
+            region = labels == labels[row, column]
+            tried |= region
+            if region.sum() < least or far[region].max() > WITHIN:
+                continue
+            closed = np.ones((CLOSED, CLOSED), np.uint8)
+            whole = cv2.morphologyEx(region.astype(np.uint8), cv2.MORPH_CLOSE, closed) > 0
+            if _stands(whole, colour, seen, cameras, np.stack([x, y], -1)):
+                out |= whole
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class _Border:
+    """Cells on one side of a region's border.
+
+    Args:
+        cells: (n, n) which; at: (K, 2) where, on the plane's axes; outward: (K, 2) unit.
+    """
+
+    cells: Bools
+    at: F64
+    outward: F64
+
+    @classmethod
+    def of(cls, outside: Bools, place: F64, sign: float) -> "_Border":
+        """The cells at EDGE from the border, of the side where `outside` is true."""
+        distance = cv2.distanceTransform(outside.astype(np.uint8), cv2.DIST_L2, 5)
+        cells = (distance > EDGE[0]) & (distance <= EDGE[1])
+        down, right = np.gradient(cv2.GaussianBlur(distance, (0, 0), 2))
+        outward = sign * np.stack([right, down], -1)[cells].astype(np.float64)
+        outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-9)
+        return cls(cells, place[cells], outward)
+
+    @property
+    def sector(self) -> NDArray[np.int64]:
+        """(K,) which of SECTORS the outward direction belongs to."""
+        turn = np.arctan2(self.outward[:, 1], self.outward[:, 0]) / (2 * np.pi)
+        return np.floor(turn * SECTORS).astype(np.int64) % SECTORS
+
+    def facing(self, camera: F64) -> F64:
+        """(K,) cosine between the outward direction and that to a camera (2,)."""
+        to = camera - self.at
+        return np.asarray((self.outward * to).sum(1) / np.linalg.norm(to, axis=1))
+
+
+class _Share:
+    """How often something was so, for each sector of a border."""
+
+    def __init__(self) -> None:
+        self._so, self._all = np.zeros(SECTORS), np.zeros(SECTORS)
+
+    def add(self, sector: NDArray[np.int64], so: Bools) -> None:
+        self._so += np.bincount(sector[so], minlength=SECTORS)
+        self._all += np.bincount(sector, minlength=SECTORS)
+
+    @property
+    def by_sector(self) -> F64:
+        return np.asarray(self._so / np.maximum(self._all, 1))
+
+    @property
+    def whole(self) -> float:
+        return float(self._so.sum() / max(self._all.sum(), 1.0))
+
+
+class _Shares:
+    """The same of photos that look across the region, and of those from before the border."""
+
+    def __init__(self) -> None:
+        self.across, self.before = _Share(), _Share()
+
+    def add(self, border: _Border, camera: F64, told: Bools, so: Bools) -> None:
+        """Count what a photo shows; told, so: (K,) for the border's cells."""
+        facing, sector = border.facing(camera), border.sector
+        for share, at in (
+            (self.across, told & (facing < -ACROSS)),
+            (self.before, told & (facing > ACROSS)),
+        ):
+            share.add(sector[at], so[at])
+
+
+def _stands(region: Bools, colour: F32, seen: F32, cameras: F64, place: F64) -> bool:
+    """Whether a region of one colour is the foot of a body of that colour.
+
+    Args:
+        cameras: (N, 2) and place: (n, n, 2), on the plane's axes.
+    """
+    own = np.median(colour[region], axis=0)
+    outer, inner = _Border.of(~region, place, 1.0), _Border.of(region, place, -1.0)
+    agreed = colour[outer.cells]
+    other = np.abs(agreed - own).max(-1) > DIFFERS
+    hidden, as_outside, as_inside = (_Shares() for _ in range(3))
+    for camera, photo in zip(cameras, seen, strict=True):
+        shown = photo[outer.cells]
+        told = np.isfinite(shown[:, 0]) & other
+        hidden.add(outer, camera, told, np.abs(shown - agreed).max(-1) > DIFFERS)
+        as_outside.add(outer, camera, told, np.abs(shown - own).max(-1) < LIKE)
+        shown = photo[inner.cells]
+        told = np.isfinite(shown[:, 0])
+        as_inside.add(inner, camera, told, np.abs(shown - own).max(-1) < LIKE)
+    hides = np.sort(hidden.across.by_sector)
+    often = as_inside.across.whole
+    return bool(
+        np.median(hides) > HIDDEN
+        and hides[1] > HIDDEN_LEAST
+        and np.median(hidden.before.by_sector) < SHOWN
+        and often > OFTEN
+        and as_outside.across.whole > GOES_ON * often
+        and np.median(as_inside.before.by_sector) > FOOT
+    )
