@@ -16,7 +16,7 @@ from refdgs_pipe.evaluation.settings import EvaluateParams
 from refdgs_pipe.pipeline.stage import Job, stage
 
 
-@stage(version=10, programs=("open3d-cpu", "scipy"), by_device=True)
+@stage(version=11, programs=("open3d-cpu", "scipy"), by_device=True)
 def evaluate(
     capture: Capture,
     views: Views,
@@ -44,7 +44,8 @@ def evaluate(
     views = masks.applied(views, model.names)
     model = model.placed(field.poses, field.ball)
     ground = ground_below(model, field)
-    subject = Subject(views, model, mesh, capture.layout().root, textured, ground)
+    stands = masks.kind == "found"
+    subject = Subject(views, model, mesh, capture.layout().root, textured, ground, stands)
     scores = score(subject, Drawing(picture, maps, relit(textured, looks)), protocol)
     for name, value, unit in scores.headlines():
         job.measure(name, value, unit)

@@ -27,6 +27,8 @@ class ObjectFigures:
         holes: open rims without a single one round the bottom; hole_length: theirs, in diagonals.
         parts: loose pieces that are smaller than a twentieth of the surface; part_share: their
             share of the surface.
+        floats: how far above the ground the mesh ends, in diagonals of the mesh; None where nothing
+            says that it has to reach the ground.
         metres: whether the size is known.
     """
 
@@ -47,4 +49,5 @@ class ObjectFigures:
     hole_length: float = 0.0
     parts: int = 0
     part_share: float = 0.0
+    floats: float | None = None
     metres: bool = False

@@ -19,7 +19,7 @@ from refdgs_pipe.artifacts.surface_map import SurfaceMap
 from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import Camera
-from refdgs_pipe.evaluation.wholeness import loose_parts, open_holes, seen_shares
+from refdgs_pipe.evaluation.wholeness import height_above, loose_parts, open_holes, seen_shares
 from refdgs_pipe.irradiance import links_of
 from refdgs_pipe.metrics import psnr
 from refdgs_pipe.mirrored import Glimpse, unexplained
@@ -104,12 +104,14 @@ class Witness:
         held_out: bool,
         photos: Iterable[Photo] = (),
         ground: F64 | None = None,
+        stands: bool = False,
     ) -> ObjectFigures:
         """What all views tell together, and what the mesh tells without any.
 
         Args:
             photos: small ones, to hold colours and reflections against each other.
             ground: (3,) unit normal of the ground through the world's origin, if it is known.
+            stands: whether the whole object has to reach it.
         """
         holes, hole_length = open_holes(self._mesh, model.up)
         parts, part_share = loose_parts(self._mesh)
@@ -132,6 +134,7 @@ class Witness:
             hole_length=hole_length / self._diagonal,
             parts=parts,
             part_share=part_share,
+            floats=height_above(self._mesh, ground) if stands and ground is not None else None,
             metres=model.metres_per_unit is not None,
         )
 

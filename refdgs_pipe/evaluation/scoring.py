@@ -85,6 +85,8 @@ class Subject:
         mesh: in the world frame of `model`.
         textured: the same with its textures, if they are scored too.
         ground: (3,) unit normal of the ground through the world's origin, if it is known.
+        stands: whether the whole object has to reach it: where its masks were found as what stands
+            on the ground.
     """
 
     views: Views
@@ -93,6 +95,7 @@ class Subject:
     root: Path
     textured: TexturedMesh | None = None
     ground: NDArray[np.float64] | None = None
+    stands: bool = False
 
     @property
     def no_truth(self) -> str | None:
@@ -188,6 +191,7 @@ def _evidence(
         held_out=is_held_out,
         photos=(_photo(subject, cameras[i], COMPARED_SIDE) for i in some),
         ground=subject.ground,
+        stands=subject.stands,
     )
 
 

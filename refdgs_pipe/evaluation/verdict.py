@@ -188,6 +188,20 @@ _ASPECTS = (
         ),
     ),
     _Aspect(
+        "where the object stands",
+        lambda e: e.floats,
+        0.1,
+        0.03,
+        lambda e: f"it ends {e.floats:.0%} of its diagonal above the ground",
+        "look at the section Masks of the report: a part below that looks like the ground may be "
+        "missing; give masks",
+        (
+            "The object floats above the ground: its lower part is missing",
+            "The object ends a little above the ground: its foot may be missing",
+            "The object stands on the ground",
+        ),
+    ),
+    _Aspect(
         "loose bits of surface",
         lambda e: e.part_share,
         0.1,

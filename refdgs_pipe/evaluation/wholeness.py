@@ -12,6 +12,7 @@ Ints = NDArray[np.int64]
 WELL = 0.5  # confidence from which on a place counts as seen well
 _LOW = 0.25  # of the object's height: a rim that lies lower can be that of the bottom
 _BIT = 0.05  # of the surface: larger pieces can be parts of the object
+_STRAY = 0.01  # of the surface, that may lie lower than the object ends
 
 
 def open_rims(mesh: TriangleMesh | UvMesh) -> tuple[F64, F64]:
@@ -72,6 +73,24 @@ def loose_parts(mesh: TriangleMesh) -> tuple[int, float]:
     total = float(areas.sum())
     small = areas[(areas > 0) & (areas < _BIT * total)]
     return len(small), float(small.sum()) / total if total else 0.0
+
+
+def height_above(mesh: TriangleMesh, normal: F64) -> float:
+    """How far the mesh ends above the plane through the world's origin, in its diagonals.
+
+    Args:
+        normal: (3,) of the plane, unit, upwards.
+    """
+    points, faces = mesh.vertices.astype(np.float64), mesh.faces.astype(np.int64)
+    if not len(faces):
+        return 0.0
+    areas = _areas(points, faces)
+    heights = points[faces].mean(1) @ normal
+    order = np.argsort(heights)
+    below = np.cumsum(areas[order])
+    lowest = heights[order][np.searchsorted(below, _STRAY * below[-1])]
+    diagonal = float(np.linalg.norm(np.ptp(points[np.unique(faces)], axis=0)))
+    return max(0.0, float(lowest)) / max(diagonal, 1e-30)
 
 
 def seen_shares(textured: TexturedMesh) -> tuple[float, float]:

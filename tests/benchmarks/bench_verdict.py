@@ -217,7 +217,8 @@ def _value(text: str) -> Any:
 
 def evidence_of(row: dict[str, Any]) -> ObjectFigures:
     """What a row of the table says without the truth."""
-    return ObjectFigures(**{name: row[name] for name in ObjectFigures.__dataclass_fields__})
+    known = [name for name in ObjectFigures.__dataclass_fields__ if name in row]
+    return ObjectFigures(**{name: row[name] for name in known})
 
 
 def agreement(rows: list[dict[str, Any]]) -> dict[str, float]:

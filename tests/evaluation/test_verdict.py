@@ -19,7 +19,7 @@ from refdgs_pipe.evaluation.object_figures import (
     outline_apart,
 )
 from refdgs_pipe.evaluation.verdict import judged
-from refdgs_pipe.evaluation.wholeness import loose_parts, open_holes
+from refdgs_pipe.evaluation.wholeness import height_above, loose_parts, open_holes
 
 UP = np.array([0.0, 0.0, 1.0])
 FINE = replace(finished.FINE, photos=40, placed=40, masked=True, metres=True)
@@ -30,6 +30,7 @@ WORSE = {
     "outline": (2.5, 20.0),
     "contradicted": (0.1, 0.6),
     "part_share": (0.03, 0.3),
+    "floats": (0.05, 0.2),
 }
 
 
@@ -70,6 +71,15 @@ def test_an_unknown_size_is_said_and_decides_nothing() -> None:
 def test_a_result_that_no_photo_shows_is_poor() -> None:
     lost = judged(ObjectFigures(photos=20, placed=20))
     assert lost.word == "poor" and lost.findings[0].value == "no photo shows it"
+
+
+def test_an_object_without_its_lower_part_floats() -> None:
+    ball = solids.sphere(24, radius=1.0)
+    stands = replace(ball, vertices=ball.vertices + np.array([0, 0, 1.0], np.float32))
+    middle = stands.vertices[stands.faces].mean(1)[:, 2]
+    upper = TriangleMesh(stands.vertices, stands.faces[middle > 1.0])
+    assert height_above(stands, UP) < 0.02
+    assert height_above(upper, UP) == pytest.approx(1 / 3, abs=0.02)  # 1 of 2 x 2 x 1
 
 
 def test_a_bottom_may_be_open_and_a_top_may_not() -> None:
