@@ -11,7 +11,7 @@ from refdgs_pipe.pipeline.stage import Job, stage
 from refdgs_pipe.training.settings import StartParams
 
 
-@stage(version=2, by_device=True)
+@stage(version=3, by_device=True)
 def start(views: Views, masks: Masks, model: SparseModel, params: StartParams, job: Job) -> Start:
     """Find the object in masks, by a first look or by stereo, and lay surfels on it."""
     import torch
@@ -32,8 +32,7 @@ def start(views: Views, masks: Masks, model: SparseModel, params: StartParams, j
     found = start_within(make, params, job.warn)
     if found.stereo:
         job.measure("start", "what neighbouring photos agree on")
-    if (trial := found.trial) is not None:
-        told = f"closed {trial.closed:.2f} dB, as a vessel {trial.vessel:.2f} dB"
-        job.measure("top of the object", told)
+    if found.top:
+        job.measure("top of the object", found.top)
     job.measure("surfels", len(found.start.geometry["means"]))
     return found.start

@@ -1,7 +1,7 @@
 """Where surfels start: in the masks, where a first look finds the object, or on a stereo cloud."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from refdgs_pipe.artifacts.sparse_model import SparseModel
@@ -14,7 +14,7 @@ from refdgs_pipe.training.settings import StartParams
 from refdgs_pipe.training.starting import Given, start_of
 from refdgs_pipe.training.step import near_of
 from refdgs_pipe.training.stereo_start import agreed_cloud
-from refdgs_pipe.training.vessels import Trial, find_mouth, tried
+from refdgs_pipe.training.vessels import A_MIRROR, as_mirror, find_mouth, find_plateau, tried
 
 
 @dataclass(frozen=True)
@@ -23,12 +23,12 @@ class Begun:
 
     Args:
         stereo: whether it lies on what neighbouring photos agree on.
-        trial: of a lid, if there was one to be judged.
+        top: what was found out of its level top, in words; empty if it has none.
     """
 
     start: Start
     stereo: bool
-    trial: Trial | None = None
+    top: str = ""
 
 
 def begin(
@@ -56,8 +56,8 @@ def begin(
         photos = load_training_photos(views, model, max_side=params.max_side, near=near)
     masked = views.background != "photo"
     if masked:
-        hull, trial = _solid(params, model, photos, near, progress)
-        return Begun(start_of(Given(params, model, photos, hull=hull), masked=True), False, trial)
+        hull, top = _solid(params, model, photos, near, progress)
+        return Begun(start_of(Given(params, model, photos, hull=hull), masked=True), False, top)
     agreed = agreed_cloud(params, model, photos, scratch, progress)
     if agreed is not None or params.look_steps == 0:
         given = Given(params, model, photos, agreed=agreed, progress=progress)
@@ -81,19 +81,30 @@ def _solid(
     photos: list[TrainingPhoto],
     near: float,
     progress: Callable[[int, int], None] | None,
-) -> tuple[Hull | None, Trial | None]:
-    """The object within its masks, as a vessel if that explains photos better than its lid."""
+) -> tuple[Hull | None, str]:
+    """The object within its masks, and what was found out of its level top, in words.
+
+    It is a vessel if that explains photos better than its lid. The bulge on a flat mirror is gone.
+    """
     if params.masked == "ball" or any(photo.mask is None for photo in photos):
-        return None, None
+        return None, ""
     closed = closed_hull(model, photos)
     if closed is None:
-        return None, None
+        return None, ""
     hull = object_hull(params, model, photos, progress, closed=closed)
     if hull is None or params.masked != "carved" or not params.vessels:
-        return hull, None
+        return hull, ""
     mouth = find_mouth(closed, model.up)
     mouth = None if mouth is None else mouth.within(hull)
     if mouth is None:
-        return hull, None
+        return hull, ""
+    plateau = find_plateau(closed, mouth.lid, model.up)
+    misfit = None if plateau is None else as_mirror(photos, plateau)
+    if plateau is not None and misfit is not None and misfit < A_MIRROR:
+        flat = replace(hull, cells=(hull.cells | mouth.hollow) & ~plateau.bulge)
+        return flat, f"a flat mirror, misfit {misfit:.2f}"
     trial = tried(params, model, photos, hull, mouth, near=near, progress=progress)
-    return (mouth.vessel if trial is not None and trial.opens else hull), trial
+    if trial is None:
+        return hull, ""
+    told = "" if misfit is None else f", misfit as a flat mirror {misfit:.2f}"
+    return (mouth.vessel if trial.opens else hull), trial.words + told

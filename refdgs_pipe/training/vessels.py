@@ -4,9 +4,14 @@ Silhouettes close every hollow, also a bowl's. Photo agreement opens those whose
 polished inside agrees on nothing. Here both answers are tried: a short training from the closed
 solid and one from a vessel with walls of even thickness, each judged by photos that it did not
 see, where they show the lid. The vessel has to explain them clearly better.
+
+A flat mirror fails this trial: a short training explains its reflections by a hollow with painted
+walls. But photos that see one direction mirrored in it agree on what they see, and photos of a
+hollow do not. Such a lid stays closed. Silhouettes bulge on it as steeply as the lowest camera
+looks, so the bulge is cut off.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,10 +23,12 @@ from scipy.ndimage import (
     distance_transform_edt,
     gaussian_filter,
     label,
+    minimum_filter,
 )
 
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.camera import F64, Camera
+from refdgs_pipe.mirrored import Glimpse, mirror_agreement
 from refdgs_pipe.training.carving import boundary
 from refdgs_pipe.training.field import TrainableField
 from refdgs_pipe.training.initial import F32, Hull
@@ -45,6 +52,13 @@ EACH = 4  # of those, one in so many is held out
 SIDE = 200  # pixels of the photos that are trained on
 STEPS, SURFELS = 800, 6000
 BETTER = 0.6  # dB by which the vessel has to explain held-out photos better
+ALONG = 0.99  # cosine between up and an axis of the grid, for which level parts are looked for
+DROP = 2.5  # cells to a neighbouring column, from which on a level part ends
+PLATEAU = 0.25  # of the lid's columns, that the largest level part has, at least
+A_MIRROR = 0.6  # of the spread of a lid's colours: by how much they differ as a flat mirror's, at
+# most
+ENOUGH = 50  # samples of a lid that other photos say something of
+PLAIN = 0.02  # spread of a lid's colours, sRGB, below which they tell nothing
 _SHORT = {
     "iterations": STEPS,
     "environment_height": 64,
@@ -139,6 +153,84 @@ class Trial:
     def opens(self) -> bool:
         """Whether the vessel explains them clearly better."""
         return self.vessel > self.closed + BETTER
+
+    @property
+    def words(self) -> str:
+        """Both figures, for people."""
+        return f"closed {self.closed:.2f} dB, as a vessel {self.vessel:.2f} dB"
+
+
+@dataclass(frozen=True, eq=False)
+class Plateau:
+    """The largest level part of a lid, as high as its border.
+
+    Args:
+        points: (N, 3) world, one for each column of the grid; normal: (3,) unit, up.
+        bulge: (n, n, n) the cells of the hull above them.
+    """
+
+    points: F64
+    normal: F64
+    bulge: Bools
+
+
+def find_plateau(hull: Hull, lid: F64, up: F64) -> Plateau | None:
+    """The largest level part of a lid; None if up is no axis of the grid, or for a small part.
+
+    Silhouettes are right at a part's border, where the surface drops. Inside they bulge, so no
+    column of a part is higher than the highest one at its border.
+
+    Args:
+        lid: (N, 3) centres of the lid's cells, world; up: (3,) unit, world.
+    """
+    axis = int(np.abs(up).argmax())
+    if abs(up[axis]) < ALONG:
+        return None
+    step = 1 if up[axis] > 0 else -1
+    cells = np.moveaxis(hull.cells, axis, 2)[:, :, ::step]
+    n = cells.shape[2]
+    height = np.where(cells.any(2), n - 1 - np.argmax(cells[:, :, ::-1], axis=2), -n)
+    border = (height >= 0) & (height - minimum_filter(height, 3) > DROP)
+    level = np.full_like(height, -n)
+    for h in range(n):
+        parts, _ = label(height >= h)
+        level[np.isin(parts, np.unique(parts[border & (height >= h)])) & (parts > 0)] = h
+    places = np.rint((lid - hull.ball.center - hull.ticks[0]) / (hull.ticks[1] - hull.ticks[0]))
+    columns = np.unique(np.delete(places.astype(np.int64), axis, axis=1), axis=0)
+    at = level[tuple(columns.T)]
+    counts = np.bincount(at[at >= 0], minlength=1)
+    best = int(counts.argmax())
+    if counts[best] < PLATEAU * len(columns):
+        return None
+    rows = columns[at == best]
+    heights = np.full(len(rows), best if step > 0 else n - 1 - best)
+    points = hull.ball.center + hull.ticks[np.insert(rows, axis, heights, axis=1)]
+    above = np.zeros_like(cells)
+    above[tuple(rows.T)] = np.arange(n) > best
+    bulge = np.moveaxis((above & cells)[:, :, ::step], 2, axis)
+    return Plateau(points, step * np.eye(3)[axis], bulge)
+
+
+def as_mirror(photos: Sequence[TrainingPhoto], plateau: Plateau) -> float | None:
+    """By how much photos differ that see one direction mirrored if a level part is a flat mirror.
+
+    Returns:
+        Their mean difference by the spread of the part's colours, below A_MIRROR for a mirror; None
+        where too few can be compared.
+    """
+    glimpses = [_glimpse(photo) for photo in photos]
+    normals = np.tile(plateau.normal, (len(plateau.points), 1))
+    found = mirror_agreement(plateau.points, normals, glimpses, near=np.inf)
+    if found.count < ENOUGH or found.spread < PLAIN:
+        return None
+    return found.misfit / found.spread
+
+
+def _glimpse(photo: TrainingPhoto) -> Glimpse:
+    """A photo of a lid, which nothing hides, where the mask says that it shows the object."""
+    assert photo.mask is not None
+    color = np.asarray(photo.rgb.numpy().transpose(1, 2, 0) / 255, np.float32)
+    return Glimpse(photo.camera, color, (photo.mask.numpy() > 127).astype(np.float32))
 
 
 def tried(

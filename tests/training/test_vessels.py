@@ -1,17 +1,30 @@
 """Level tops of hulls, tried as the mouths of vessels."""
 
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from training.test_trainer import SMALL, capture
 
 from refdgs_pipe.artifacts.sparse_model import Ball
+from refdgs_pipe.camera import Camera
+from refdgs_pipe.ops import Pinhole
 from refdgs_pipe.training import vessels
 from refdgs_pipe.training.initial import Hull, object_hull
-from refdgs_pipe.training.photos import load_training_photos
+from refdgs_pipe.training.photos import TrainingPhoto, load_training_photos
 from refdgs_pipe.training.step import near_of
-from refdgs_pipe.training.vessels import Mouth, Trial, find_mouth, tried
+from refdgs_pipe.training.vessels import (
+    Mouth,
+    Plateau,
+    Trial,
+    as_mirror,
+    find_mouth,
+    find_plateau,
+    tried,
+)
 
 UP = np.array([0.0, 0.0, 1.0])
 TICKS = np.linspace(-1, 1, 48)
@@ -64,6 +77,78 @@ def test_a_small_level_top_is_no_lid() -> None:
 def test_a_thin_plate_has_no_hollow() -> None:
     plate = np.asarray((np.abs(Z) < 0.03) & (RADIUS < 0.8))
     assert find_mouth(hull(plate), UP) is None
+
+
+SLAB = (np.abs(X) < 0.5) & (np.abs(Y) < 0.4)
+BULGE = SLAB & (Z >= 0.2) & (0.2 + 0.3 * (0.45 - np.maximum(np.abs(X), np.abs(Y))) > Z)
+
+
+def bulging_slab() -> Hull:
+    """A slab whose flat top bulges, as where all cameras look down."""
+    return hull(np.asarray((SLAB & (Z > -0.5) & (Z < 0.2)) | BULGE))
+
+
+def lid_of(solid: Hull) -> np.ndarray:
+    """The uppermost cell of each column."""
+    top = solid.cells & ~np.roll(solid.cells, -1, axis=2)
+    return np.asarray(solid.ticks[np.argwhere(top)])
+
+
+@pytest.mark.parametrize("down", [False, True])
+def test_a_bulge_on_a_level_part_is_what_lies_above_its_border(down: bool) -> None:
+    solid = bulging_slab()
+    if down:
+        solid = replace(solid, cells=solid.cells[:, :, ::-1])
+    lid = lid_of(bulging_slab()) * ([1, 1, -1] if down else 1)
+    found = find_plateau(solid, lid, -UP if down else UP)
+    assert found is not None and found.normal.tolist() == [0, 0, -1 if down else 1]
+    bulge = BULGE[:, :, ::-1] if down else BULGE
+    assert bulge.sum() > 300
+    np.testing.assert_array_equal(found.bulge, bulge & solid.cells)
+    assert np.ptp(found.points[:, 2]) == 0
+    height = abs(float(found.points[0, 2]))
+    assert 0.2 - 1.1 * (TICKS[1] - TICKS[0]) < height < 0.2
+    assert find_plateau(solid, lid, np.array([0.0, 0.6, 0.8])) is None
+
+
+def photos_of(normal: Callable[[np.ndarray], np.ndarray]) -> list[TrainingPhoto]:
+    """Photos of the plane z = 0 that mirrors a coloured sky; normal: (N, 3) at places (N, 3)."""
+    out = []
+    for turn in np.linspace(0, 2 * np.pi, 24, endpoint=False):
+        tilt = np.deg2rad(55 if len(out) % 2 else 40)
+        eye = 3 * np.array([np.cos(tilt) * np.cos(turn), np.cos(tilt) * np.sin(turn), np.sin(tilt)])
+        forward = -eye / 3
+        right = np.cross(forward, UP) / np.linalg.norm(np.cross(forward, UP))
+        rotation = np.stack([right, np.cross(forward, right), forward])
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = rotation, -rotation @ eye
+        K = np.array([[80.0, 0, 32], [0, 80.0, 32], [0, 0, 1]])
+        camera = Camera(f"{len(out)}", 64, 64, K, pose)
+        rays = camera.pixel_rays().reshape(-1, 3) @ rotation
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        n = normal(eye - rays * (eye[2] / rays[:, 2:]))
+        away = rays - 2 * (rays * n).sum(1, keepdims=True) * n
+        sky = 0.5 + 0.5 * np.sin(7 * away @ np.array([[1.0, 2, 0], [0, 1, -2], [1, 0, 1]]))
+        rgb = torch.from_numpy(np.round(255 * sky).astype(np.uint8).reshape(64, 64, 3))
+        mask = torch.full((64, 64), 255, dtype=torch.uint8)
+        pinhole = Pinhole.of(camera, 0.1)
+        out.append(TrainingPhoto(camera, pinhole, rgb.permute(2, 0, 1).contiguous(), mask, None))
+    return out
+
+
+def test_photos_agree_on_a_flat_mirror_and_not_on_a_polished_hollow() -> None:
+    place = np.linspace(-0.6, 0.6, 30)
+    x, y = (a.ravel() for a in np.meshgrid(place, place))
+    plateau = Plateau(np.stack([x, y, 0 * x], 1), UP, np.zeros((2, 2, 2), bool))
+    flat = as_mirror(photos_of(lambda p: np.tile(UP, (len(p), 1))), plateau)
+
+    def bowl(p: np.ndarray) -> np.ndarray:
+        tilted = UP - 0.9 * p
+        return np.asarray(tilted / np.linalg.norm(tilted, axis=1, keepdims=True))
+
+    hollow = as_mirror(photos_of(bowl), plateau)
+    assert flat is not None and flat < 0.5 * vessels.A_MIRROR
+    assert hollow is not None and hollow > 1.3 * vessels.A_MIRROR
 
 
 def test_a_vessel_has_to_explain_clearly_more() -> None:
