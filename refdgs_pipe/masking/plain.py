@@ -2,8 +2,8 @@
 
 Photos from all sides agree on the one colour of a plain plinth, as if it lay flat on the plane. But
 a body hides what lies behind it. So just outside of the region of that colour, photos that look
-across the region see the body, and only photos from the other side see the plane. A body that only
-hangs over the plane is told from one that stands on it by these: below it they see the plane.
+across the region see the body, and only photos from the near side see the plane. Photos from the
+near side also see the plane below a body that hangs over it, and the body's foot if it stands.
 """
 
 from dataclasses import dataclass
@@ -26,13 +26,13 @@ DIFFERS = 0.25  # of log colour, between what a photo shows and what the photos 
 LIKE = 0.5  # of log colour, from the region's, of what may be the same body
 ACROSS = 0.5  # cosine between a border's outward direction and that to a camera
 SECTORS = 8  # of outward directions
-HIDDEN, HIDDEN_LEAST = 0.55, 0.4  # share of the photos across that see something else: median of
-# the sectors, and all sectors but one
+# Share of the photos across that see something else: median of the sectors, and all but one
+HIDDEN, HIDDEN_LEAST = 0.55, 0.4
 SHOWN = 0.2  # the same share of the photos before the border, at most
 GOES_ON = 0.6  # how much as often a photo across sees the region's colour outside as inside
 OFTEN = 0.2  # how often it sees it inside, at least
-FOOT = 0.6  # how often a photo before the border sees the region's colour inside, at least: median
-# of the sectors
+# How often a photo before the border sees the region's colour inside, at least: median
+FOOT = 0.6
 
 
 def plain_feet(colour: F32, seen: F32, ground: Ground, centers: F64, radius: float) -> Bools:

@@ -14,7 +14,7 @@ from refdgs_pipe.training.settings import StartParams
 from refdgs_pipe.training.starting import Given, start_of
 from refdgs_pipe.training.step import near_of
 from refdgs_pipe.training.stereo_start import agreed_cloud
-from refdgs_pipe.training.vessels import A_MIRROR, as_mirror, find_mouth, find_plateau, tried
+from refdgs_pipe.training.vessels import A_MIRROR, find_mouth, find_plateau, mirror_misfit, tried
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ def _solid(
     if mouth is None:
         return hull, ""
     plateau = find_plateau(closed, mouth.lid, model.up)
-    misfit = None if plateau is None else as_mirror(photos, plateau)
+    misfit = None if plateau is None else mirror_misfit(photos, plateau)
     if plateau is not None and misfit is not None and misfit < A_MIRROR:
         flat = replace(hull, cells=(hull.cells | mouth.hollow) & ~plateau.bulge)
         return flat, f"a flat mirror, misfit {misfit:.2f}"

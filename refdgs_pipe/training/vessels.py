@@ -55,8 +55,7 @@ BETTER = 0.6  # dB by which the vessel has to explain held-out photos better
 ALONG = 0.99  # cosine between up and an axis of the grid, for which level parts are looked for
 DROP = 2.5  # cells to a neighbouring column, from which on a level part ends
 PLATEAU = 0.25  # of the lid's columns, that the largest level part has, at least
-A_MIRROR = 0.6  # of the spread of a lid's colours: by how much they differ as a flat mirror's, at
-# most
+A_MIRROR = 0.6  # `mirror_misfit` below which a level part is a flat mirror
 ENOUGH = 50  # samples of a lid that other photos say something of
 PLAIN = 0.02  # spread of a lid's colours, sRGB, below which they tell nothing
 _SHORT = {
@@ -211,7 +210,7 @@ def find_plateau(hull: Hull, lid: F64, up: F64) -> Plateau | None:
     return Plateau(points, step * np.eye(3)[axis], bulge)
 
 
-def as_mirror(photos: Sequence[TrainingPhoto], plateau: Plateau) -> float | None:
+def mirror_misfit(photos: Sequence[TrainingPhoto], plateau: Plateau) -> float | None:
     """By how much photos differ that see one direction mirrored if a level part is a flat mirror.
 
     Returns:

@@ -5,7 +5,7 @@ import pytest
 
 from refdgs_pipe.camera import F64
 from refdgs_pipe.ground.plane import Ground
-from refdgs_pipe.ground.shots import F32
+from refdgs_pipe.ground.shots import F32, Bools
 from refdgs_pipe.masking.plain import plain_feet
 
 N, REACH = 256, 2.2
@@ -13,6 +13,7 @@ GROUND = Ground(np.zeros(3), np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), REACH
 TABLE, BLACK, WHITE = -0.7, -3.0, -0.1
 Box = tuple[tuple[float, float, float], tuple[float, float, float], float]
 BODY: Box = ((-0.4, -0.3, 0.0), (0.4, 0.3, 0.25), BLACK)
+FLAT: Box = ((-0.4, -0.3, 0.0), (0.4, 0.3, 0.0), BLACK)
 
 
 def cameras() -> F64:
@@ -44,7 +45,7 @@ def shown(boxes: list[Box]) -> F32:
     return out
 
 
-def feet(boxes: list[Box]) -> F64:
+def feet(boxes: list[Box]) -> Bools:
     """(N, N) what is found for the boxes; photos agree on their median."""
     seen = shown(boxes)
     return plain_feet(np.median(seen, axis=0), seen, GROUND, cameras(), 1.0)
@@ -57,9 +58,6 @@ def test_a_plain_plinth_below_a_bright_post_is_found_where_it_stands() -> None:
     x, y = np.meshgrid(place, place)
     true = (np.abs(x) < 0.4) & (np.abs(y) < 0.3)
     assert (found & true).sum() / (found | true).sum() > 0.85
-
-
-FLAT: Box = ((-0.4, -0.3, 0.0), (0.4, 0.3, 0.0), BLACK)
 
 
 @pytest.mark.parametrize(

@@ -20,9 +20,9 @@ from refdgs_pipe.training.vessels import (
     Mouth,
     Plateau,
     Trial,
-    as_mirror,
     find_mouth,
     find_plateau,
+    mirror_misfit,
     tried,
 )
 
@@ -140,13 +140,13 @@ def test_photos_agree_on_a_flat_mirror_and_not_on_a_polished_hollow() -> None:
     place = np.linspace(-0.6, 0.6, 30)
     x, y = (a.ravel() for a in np.meshgrid(place, place))
     plateau = Plateau(np.stack([x, y, 0 * x], 1), UP, np.zeros((2, 2, 2), bool))
-    flat = as_mirror(photos_of(lambda p: np.tile(UP, (len(p), 1))), plateau)
+    flat = mirror_misfit(photos_of(lambda p: np.tile(UP, (len(p), 1))), plateau)
 
     def bowl(p: np.ndarray) -> np.ndarray:
         tilted = UP - 0.9 * p
         return np.asarray(tilted / np.linalg.norm(tilted, axis=1, keepdims=True))
 
-    hollow = as_mirror(photos_of(bowl), plateau)
+    hollow = mirror_misfit(photos_of(bowl), plateau)
     assert flat is not None and flat < 0.5 * vessels.A_MIRROR
     assert hollow is not None and hollow > 1.3 * vessels.A_MIRROR
 
