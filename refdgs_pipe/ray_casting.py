@@ -75,10 +75,10 @@ class Solid:
 
 def at_hits(values: F32, faces: NDArray[np.int32], face: Ints, weights: F32) -> F32:
     """(N, C) values given per vertex (V, C), at places in faces."""
-    corners = faces[face]
-    total = weights[:, :1] * values[corners[:, 0]]
+    corners = np.take(faces, face, axis=0)
+    total = weights[:, :1] * np.take(values, corners[:, 0], axis=0)
     for i in (1, 2):
-        total = total + weights[:, i : i + 1] * values[corners[:, i]]
+        total = total + weights[:, i : i + 1] * np.take(values, corners[:, i], axis=0)
     return np.asarray(total, np.float32)
 
 

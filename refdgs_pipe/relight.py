@@ -6,6 +6,7 @@ from there; and for the matte part the light gathered over the half sphere, boun
 """
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import dataclass
 
@@ -39,7 +40,7 @@ _STEEP = 0.04  # sRGB: pixels whose rays differ by more get four times as many
 _BOUNCES = 3
 _REFLECTIONS = 1  # of mirrored rays after the first, on the object itself
 _BLUNT = 0.15  # roughness from which a place mirrors more than one ray; at twice that, only a lobe
-_LOBE = 8  # rays of a lobe
+LOBE = 8  # rays of a lobe
 _LIFT = 0.0025  # of the object's diagonal: mirrored rays start this far above the surface
 _CHUNK = 1 << 18
 _ROOM_STEP = 10.0  # degrees between rooms for which the light on matte surfaces is gathered
@@ -89,6 +90,7 @@ class Relit:
         environment: (H, 2H, 3) linear radiance, laid out as `refdgs_pipe.light` says, in the frame
             where it stands still.
         lighting: how the light moves; white, ground: of `Appearance`.
+        threads: that draw; the picture does not depend on it.
     """
 
     def __init__(
@@ -99,18 +101,20 @@ class Relit:
         lighting: Lighting = WORLD,
         white: float = 0.0,
         ground: GroundLight | None = None,
+        threads: int = 1,
     ) -> None:
+        self.threads = max(1, threads)
         self.lighting, self.white, self.ground = lighting, white, ground
         self.lamp: Lamp | None = None
         self._rooms: dict[int, tuple[F32, F32]] = {}
         self.mesh, self.tangents = textured.mesh, textured.tangents
         self.solid = Solid(self.mesh.vertices, self.mesh.faces)
         self.light: Light = Environment(environment)
-        self._base = linear_from_srgb(_eight(textured.base_color))
-        self._grey = np.stack([_eight(textured.roughness), _eight(textured.metallic)], -1)
-        self._normal = _eight(textured.normal) * 2 - 1
+        self._texture = _Texture(textured)
         self.lift = np.float32(_LIFT * np.linalg.norm(np.ptp(self.mesh.vertices, axis=0)))
         self._sky, self._first, self._same = self._look()
+        alone = np.asarray((self._sky.seen < 0).all(0))
+        self._alone = alone[self._same]  # vertices that see nothing of the object
         self._received, self._sent = self._gathered(self.light)
 
     def under(self, camera: Camera) -> "Relit":
@@ -185,29 +189,47 @@ class Relit:
         total = np.zeros((len(pixels), 4), np.float32)
         low = np.full((len(pixels), 4), np.inf, np.float32)
         high = -low
-        for offset in offsets(side):
-            rays = rays_of(camera, pixels, offset)
-            hits = self.solid.first(camera.center.astype(np.float32), rays)
-            found = np.zeros((len(pixels), 4), np.float32)
-            for start in range(0, len(hits.rays), _CHUNK):
-                some = hits.chosen(slice(start, start + _CHUNK))
-                shaded = self._shade(some, -rays[some.rays])
-                found[some.rays] = np.column_stack([np.clip(shaded, 0, 1), np.ones(len(shaded))])
-            total += found
-            shown = srgb_from_linear(found)
-            low, high = np.minimum(low, shown), np.maximum(high, shown)
+        shared = min(side * side, LOBE)
+
+        def met(number: int) -> F32:
+            rays = rays_of(camera, pixels, offsets(side)[number])
+            return self._met(camera, rays, range(number % shared, LOBE, shared))
+
+        with ThreadPoolExecutor(self.threads) as pool:
+            for found in pool.map(met, range(side * side)):
+                total += found
+                shown = srgb_from_linear(found)
+                low, high = np.minimum(low, shown), np.maximum(high, shown)
         return total / np.float32(side * side), (high - low).max(1)
 
-    def surface(self, hits: Hits, toward: F32) -> Seen:
-        """What makes up the radiance towards the eye, (N, 3) unit, of places that were met."""
+    def _met(self, camera: Camera, rays: F32, lobe: range) -> F32:
+        """(N, 4) linear colour and 1 where rays (N, 3) from the camera meet the object, else 0.
+
+        Args:
+            lobe: which rays of a lobe are followed.
+        """
+        hits = self.solid.first(camera.center.astype(np.float32), rays)
+        found = np.zeros((len(rays), 4), np.float32)
+        for start in range(0, len(hits.rays), _CHUNK):
+            some = hits.chosen(slice(start, start + _CHUNK))
+            shaded = self._shade(some, -rays[some.rays], lobe)
+            found[some.rays] = np.column_stack([np.clip(shaded, 0, 1), np.ones(len(shaded))])
+        return found
+
+    def surface(self, hits: Hits, toward: F32, lobe: range = range(LOBE)) -> Seen:
+        """What makes up the radiance towards the eye, (N, 3) unit, of places that were met.
+
+        Args:
+            lobe: which rays of a lobe are followed.
+        """
         mesh = self.mesh
 
         def at(values: F32) -> F32:
             return at_hits(values, mesh.faces, hits.face, hits.weights)
 
         uv, plain = at(mesh.uv), at(mesh.normals)
-        here = self._at(uv)
-        local = _sample(self._normal, uv)
+        texels = self._texture.at(uv)
+        here, local = _shaded(texels), texels[:, 5:] * 2 - 1
         tangent = at(self.tangents[:, :3])
         sign = self.tangents[mesh.faces[hits.face, 0], 3:]
         normal = local[:, :1] * tangent + local[:, 1:2] * np.cross(plain, tangent) * sign
@@ -220,7 +242,11 @@ class Relit:
         near = self.solid.first(start, mirrored)
         sharp = np.array(incoming)
         sharp[near.rays] = self._seen(near, mirrored[near.rays], _REFLECTIONS)
-        incoming = self._blunted(incoming, sharp, start, normal, toward, rough)
+        crowded = ~self._alone[mesh.faces[hits.face]].all(1)
+        blunt = np.flatnonzero(crowded & (rough > _BLUNT))
+        some = (start[blunt], normal[blunt], toward[blunt], rough[blunt])
+        incoming, far = sharp, incoming[blunt]
+        incoming[blunt] = self._blunted(far, sharp[blunt], *some, lobe)
         cosine = np.clip(along, 0.02, 1)
         share = reflected_share(here.f0, here.roughness, cosine)
         passed = passed_share(here.roughness, cosine)
@@ -228,16 +254,23 @@ class Relit:
             return Seen(here, along[:, 0], at(self._received) * passed, incoming * share)
         points = at(mesh.vertices)
         lit = np.repeat(self.lamp.received(points, normal), 3, axis=1)
-        lobe = self.lamp.mirrored(points, normal, toward, here.f0, here.roughness)
-        return Seen(here, along[:, 0], lit * passed, incoming * share + lobe)
+        spot = self.lamp.mirrored(points, normal, toward, here.f0, here.roughness)
+        return Seen(here, along[:, 0], lit * passed, incoming * share + spot)
 
-    def _shade(self, hits: Hits, toward: F32) -> F32:
+    def _shade(self, hits: Hits, toward: F32, lobe: range) -> F32:
         """(N, 3) linear radiance towards the eye, (N, 3) unit."""
-        seen = self.surface(hits, toward)
+        seen = self.surface(hits, toward, lobe)
         return seen.here.scattered * seen.received + seen.mirrored
 
     def _blunted(
-        self, far: F32, sharp: F32, points: F32, normal: F32, toward: F32, roughness: F32
+        self,
+        far: F32,
+        sharp: F32,
+        points: F32,
+        normal: F32,
+        toward: F32,
+        roughness: F32,
+        lobe: range,
     ) -> F32:
         """(N, 3) what rough places mirror: some rays of their lobe, and not one alone.
 
@@ -248,24 +281,21 @@ class Relit:
             far, sharp: (N, 3) without the object, and with what one ray meets of it.
             points: (N, 3) where rays start; normal, toward: (N, 3) unit, `toward` to the eye.
             roughness: (N,).
+            lobe: which of the lobe's rays.
         """
-        rows = np.flatnonzero(roughness > _BLUNT)
-        n, v, start, rough = normal[rows], toward[rows], points[rows], roughness[rows]
-        total = np.zeros((len(rows), 3), np.float32)
-        count = np.zeros((len(rows), 1), np.float32)
-        for i in range(_LOBE):
-            half = half_vectors(n, rough[:, None] ** 2, _LOBE, i)
-            way = unit(2 * (v * half).sum(1, keepdims=True) * half - v)
-            above = (way * n).sum(1, keepdims=True) > 0
-            shown = np.array(far[rows])
-            hits = self.solid.first(start, way)
+        total = np.zeros_like(far)
+        count = np.zeros((len(far), 1), np.float32)
+        for i in lobe:
+            half = half_vectors(normal, roughness[:, None] ** 2, LOBE, i)
+            way = unit(2 * (toward * half).sum(1, keepdims=True) * half - toward)
+            above = (way * normal).sum(1, keepdims=True) > 0
+            shown = np.array(far)
+            hits = self.solid.first(points, way)
             shown[hits.rays] = self._seen(hits, way[hits.rays], 0)
             total += np.where(above, shown, 0)
             count += above
-        most = np.clip((rough - _BLUNT) / _BLUNT, 0, 1)[:, None] * (count > 0)
-        found = np.array(sharp)
-        found[rows] += most * (total / np.maximum(count, 1) - sharp[rows])
-        return found
+        most = np.clip((roughness - _BLUNT) / _BLUNT, 0, 1)[:, None] * (count > 0)
+        return np.asarray(sharp + most * (total / np.maximum(count, 1) - sharp), np.float32)
 
     def _around(self, points: F32, directions: F32, roughness: F32) -> F32:
         """(N, 3) light that mirrored rays (N, 3) from points (N, 3) meet beside the object."""
@@ -302,18 +332,60 @@ class Relit:
 
     def _at(self, uv: F32) -> Shaded:
         """The material at texture coordinates (N, 2)."""
-        grey = _sample(self._grey, uv)
-        return Shaded(_sample(self._base, uv), np.maximum(grey[:, :1], SMOOTHEST), grey[:, 1:])
+        return _shaded(self._texture.at(uv))
 
 
-def relit(textured: TexturedMesh, looks: Appearance) -> Callable[[Camera], tuple[F32, F32]] | None:
-    """What draws a textured mesh in the light that it was told from; None if there is none."""
+class _Texture:
+    """The textures of an asset in the 256 steps that the exported pictures have.
+
+    All the bytes of a texel lie in one word, so that a lookup reads memory once.
+    """
+
+    def __init__(self, textured: TexturedMesh) -> None:
+        grey = [textured.roughness[..., None], textured.metallic[..., None]]
+        layers = (textured.base_color, *grey, textured.normal)
+        eight = [((layer.astype(np.uint32) + 128) // 257).astype(np.uint8) for layer in layers]
+        self._words = np.concatenate(eight, -1).view(np.uint64).reshape(-1)
+        self.size = textured.size
+        self._plain = np.arange(256, dtype=np.float32) / np.float32(255)
+        self._linear = linear_from_srgb(self._plain)
+
+    def at(self, uv: F32) -> F32:
+        """(N, 8) base colour, linear; roughness; metallic; normal as 0 to 1: bilinear lookups.
+
+        Args:
+            uv: (N, 2) texture coordinates.
+        """
+        x, y = np.clip(uv * self.size - 0.5, 0, self.size - 1.001).T
+        left, top = x.astype(int), y.astype(int)
+        right, below = np.minimum(left + 1, self.size - 1), np.minimum(top + 1, self.size - 1)
+        across, down = (x - left)[:, None], (y - top)[:, None]
+        upper = self._texels(top, left) * (1 - across) + self._texels(top, right) * across
+        lower = self._texels(below, left) * (1 - across) + self._texels(below, right) * across
+        return np.asarray(upper * (1 - down) + lower * down, np.float32)
+
+    def _texels(self, row: Ints, column: Ints) -> F32:
+        """(N, 8) the texels of some rows (N,) and columns (N,)."""
+        found = np.take(self._words, row * self.size + column).view(np.uint8).reshape(-1, 8)
+        values = self._plain[found]
+        values[:, :3] = self._linear[found[:, :3]]
+        return values
+
+
+def relit(
+    textured: TexturedMesh, looks: Appearance, *, threads: int = 1
+) -> Callable[[Camera], tuple[F32, F32]] | None:
+    """What draws a textured mesh in the light that it was told from; None if there is none.
+
+    Args:
+        threads: that draw; the picture does not depend on it.
+    """
     if looks.environment is None:
         return None
-    return in_its_light(textured, looks).draw
+    return in_its_light(textured, looks, threads=threads).draw
 
 
-def in_its_light(textured: TexturedMesh, looks: Appearance) -> Relit:
+def in_its_light(textured: TexturedMesh, looks: Appearance, *, threads: int = 1) -> Relit:
     """A textured mesh in the light of an appearance, whose environment must be known."""
     assert looks.environment is not None
     return Relit(
@@ -322,6 +394,7 @@ def in_its_light(textured: TexturedMesh, looks: Appearance) -> Relit:
         lighting=looks.lighting,
         white=looks.white,
         ground=looks.ground,
+        threads=threads,
     )
 
 
@@ -343,18 +416,6 @@ def rays_of(camera: Camera, pixels: Ints, offset: tuple[float, float] = (0.0, 0.
     return unit((towards @ camera.cam_from_world[:3, :3]).astype(np.float32))
 
 
-def _eight(pixels: NDArray[np.uint16]) -> F32:
-    """[0, 1], in the 256 steps that the exported pictures have."""
-    return np.asarray((pixels.astype(np.uint32) + 128) // 257, np.float32) / np.float32(255)
-
-
-def _sample(picture: F32, uv: F32) -> F32:
-    """(N, C) bilinear values of a picture (S, S, C) at texture coordinates (N, 2)."""
-    size = len(picture)
-    x, y = np.clip(uv * size - 0.5, 0, size - 1.001).T
-    left, top = x.astype(int), y.astype(int)
-    right, below = np.minimum(left + 1, size - 1), np.minimum(top + 1, size - 1)
-    across, down = (x - left)[:, None], (y - top)[:, None]
-    upper = picture[top, left] * (1 - across) + picture[top, right] * across
-    lower = picture[below, left] * (1 - across) + picture[below, right] * across
-    return np.asarray(upper * (1 - down) + lower * down, np.float32)
+def _shaded(texels: F32) -> Shaded:
+    """The material of texels (N, 8) as `_Texture.at` gives them."""
+    return Shaded(texels[:, :3], np.maximum(texels[:, 3:4], SMOOTHEST), texels[:, 4:5])

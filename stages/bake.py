@@ -25,7 +25,7 @@ class BakeParams(Params):
     refine: bool = Field(True, description="correct base colours by the photos, in the light found")
 
 
-@stage(version=9, programs=("open3d-cpu", "scipy"), by_device=True)
+@stage(version=10, programs=("open3d-cpu", "scipy"), by_device=True)
 def bake(
     mesh: UvMesh,
     looks: Appearance,

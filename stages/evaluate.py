@@ -16,7 +16,7 @@ from refdgs_pipe.evaluation.settings import EvaluateParams
 from refdgs_pipe.pipeline.stage import Job, stage
 
 
-@stage(version=11, programs=("open3d-cpu", "scipy"), by_device=True)
+@stage(version=12, programs=("open3d-cpu", "scipy"), by_device=True)
 def evaluate(
     capture: Capture,
     views: Views,
@@ -46,7 +46,8 @@ def evaluate(
     ground = ground_below(model, field)
     stands = masks.kind == "found"
     subject = Subject(views, model, mesh, capture.layout().root, textured, ground, stands)
-    scores = score(subject, Drawing(picture, maps, relit(textured, looks)), protocol)
+    asset = relit(textured, looks, threads=job.threads)
+    scores = score(subject, Drawing(picture, maps, asset), protocol)
     for name, value, unit in scores.headlines():
         job.measure(name, value, unit)
     job.measure("render rate", round(picture.per_second, 2), "views/s")

@@ -146,3 +146,34 @@ def test_a_flash_lights_what_faces_the_camera() -> None:
     middle = linear[int(rows.mean()), int(columns.mean())]
     assert middle == pytest.approx([0.6 * 0.497] * 3, rel=0.1)
     assert linear[alpha == 1].min() < 0.5 * middle.min()
+
+
+def test_the_picture_does_not_depend_on_the_number_of_threads() -> None:
+    one, two = (Relit(metal(20000), half_lit(), threads=n).draw(CAMERA) for n in (1, 2))
+    for a, b in zip(one, two, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_textures_are_looked_up_between_texels_in_linear_light() -> None:
+    ball = textured()
+    stripes = np.zeros_like(ball.base_color)
+    stripes[:, 1::2] = 65535
+    relit = Relit(replace(ball, base_color=stripes, metallic=np.full_like(ball.metallic, 257)), SKY)
+    size = ball.size
+    here = relit._at(np.float32([[1.5, 0.5], [2.0, 0.5], [2.25, 0.5]]) / np.float32(size))
+    np.testing.assert_allclose(here.base[:, 0], [1.0, 0.5, 0.25], atol=1e-5)
+    np.testing.assert_allclose(here.metallic[:, 0], 1 / 255, atol=1e-6)
+
+
+def test_the_rays_of_a_lobe_may_be_shared_out() -> None:
+    """From the ball's centre every ray meets the ball, whose light rises to one side."""
+    relit = Relit(metal(20000), SKY)
+    relit._sent[:] = np.float32(1) + relit.mesh.vertices[:, :1]
+    up = np.tile(np.float32([[0, 0.6, 0.8]]), (5, 1))
+    dark, rough = np.zeros((5, 3), np.float32), np.full(5, 0.5, np.float32)
+    whole, *halves = (
+        relit._blunted(dark, dark, np.zeros_like(up), up, up, rough, lobe)
+        for lobe in (range(8), range(0, 8, 2), range(1, 8, 2))
+    )
+    assert np.abs(halves[0] - halves[1]).max() > 0.01 and whole.min() > 0.5
+    np.testing.assert_allclose(np.mean(halves, axis=0), whole, atol=1e-5)

@@ -52,7 +52,7 @@ def comparisons(facts: Facts, drawing: Drawing) -> Html:
     """Photo, render and error of held-out views, from the worst to the best."""
     from refdgs_pipe.training.render import render_image
 
-    relit = _relit(facts)
+    relit = _relit(facts, drawing.threads)
     field = facts.load(SurfelField)
     model = facts.load(SparseModel).placed(field.poses, field.ball)
     views = facts.load(Views)
@@ -97,12 +97,12 @@ def chosen_cameras(facts: Facts, model: SparseModel, count: int) -> list[Camera]
     return [held[i] for i in np.unique(np.linspace(0, len(held) - 1, count).round().astype(int))]
 
 
-def _relit(facts: Facts) -> Callable[[Camera], tuple[F32, F32]] | None:
+def _relit(facts: Facts, threads: int) -> Callable[[Camera], tuple[F32, F32]] | None:
     """What draws the textured mesh in its own light, if there are both."""
     from refdgs_pipe.relight import relit
 
     with suppress(RefdgsError):  # not made yet, or from an older version
-        return relit(facts.load(TexturedMesh), facts.load(Appearance))
+        return relit(facts.load(TexturedMesh), facts.load(Appearance), threads=threads)
     return None
 
 

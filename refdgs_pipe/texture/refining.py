@@ -26,7 +26,7 @@ from refdgs_pipe.artifacts.photos import Photo
 from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
 from refdgs_pipe.color import linear_from_srgb, srgb_from_linear, srgb_slope
 from refdgs_pipe.ray_casting import Hits, at_hits
-from refdgs_pipe.relight import Relit, in_its_light, offsets, rays_of
+from refdgs_pipe.relight import LOBE, Relit, in_its_light, offsets, rays_of
 from refdgs_pipe.texture.texels import cuts, rasterize
 
 F32 = NDArray[np.float32]
@@ -83,7 +83,8 @@ class Refiner:
         found, uv, centre, rays = self._under(photo)
         if not len(found):
             return 0
-        seen = self._relit.under(photo.camera).surface(centre, -rays)
+        half = range(len(self._parts) % 2, LOBE, 2)  # many photos see a texel: each takes half
+        seen = self._relit.under(photo.camera).surface(centre, -rays, half)
         matte = seen.here.base * (1 - seen.here.metallic) * seen.received
         share = matte.mean(1) / np.maximum((matte + seen.mirrored).mean(1), 1e-4)
         trust = (1 - seen.here.metallic[:, 0]) ** 2 * share * (seen.cosine > _LEAST_COSINE)
