@@ -171,8 +171,9 @@ def test_the_rays_of_a_lobe_may_be_shared_out() -> None:
     relit._sent[:] = np.float32(1) + relit.mesh.vertices[:, :1]
     up = np.tile(np.float32([[0, 0.6, 0.8]]), (5, 1))
     dark, rough = np.zeros((5, 3), np.float32), np.full(5, 0.5, np.float32)
+    centre = np.tile(np.float32([[0, 0, 1]]), (5, 1))
     whole, *halves = (
-        relit._blunted(dark, dark, np.zeros_like(up), up, up, rough, lobe)
+        relit._blunted(dark, dark, centre, up, up, rough, lobe)
         for lobe in (range(8), range(0, 8, 2), range(1, 8, 2))
     )
     assert np.abs(halves[0] - halves[1]).max() > 0.01 and whole.min() > 0.5
