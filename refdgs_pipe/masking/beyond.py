@@ -13,7 +13,7 @@ from refdgs_pipe.artifacts.sparse_model import Ball
 from refdgs_pipe.camera import F64
 from refdgs_pipe.geometry import homography_warp, through_plane
 from refdgs_pipe.ground.shots import F32, Bools, Shot, box_around, mapped
-from refdgs_pipe.masking.table import LIMIT, Evidence, alike, smooth
+from refdgs_pipe.masking.table import LIMIT, TEXTURE, Evidence, alike, contrast, smooth
 
 NEIGHBOURS = 5
 LEAST_DEG, MOST_DEG = 7.0, 50.0  # between the directions to neighbours
@@ -22,6 +22,8 @@ MARGIN = 0.5  # of what is covered, that is judged round it
 BEHIND = 1.3  # radii of the ball behind its centre, where the background begins
 STRANGE, MOST_STRANGE = 0.5, 0.4  # evidence, and the share of the surroundings
 EVEN = 0.6  # likeness that speaks for neither
+PATCH = 1.3  # pixels (sigma) over which texture is measured
+TEXTURED = 1.0  # of the texture beside the object, at which likeness counts in full
 
 
 @dataclass(frozen=True)
@@ -101,8 +103,22 @@ def _judged(
         told += two / np.float32(DEPTHS)
     known = best >= 0
     missed = 0.9 * np.clip(1.5 * told - 0.5, 0, 1)  # no depth matches, if most could be tried
-    value = 3.5 * (best - EVEN) * np.where(best > EVEN, 1.2, missed)
+    proof = _proof(logs, known & (photo.free[top:bottom, left:right] > 0))
+    value = 3.5 * (best - EVEN) * np.where(best > EVEN, 1.2 * proof, missed)
     return np.where(known, value, 0).clip(-LIMIT, LIMIT).astype(np.float32), known
+
+
+def _proof(logs: F32, beside: Bools) -> F32:
+    """(H, W) 0 to 1: how much likeness tells, by the texture of what is compared.
+
+    Where the surroundings have texture, what has none is alike at some depth by chance.
+
+    Args:
+        beside: (H, W) the surroundings.
+    """
+    texture = contrast(logs.mean(-1), PATCH)
+    usual = min(float(np.median(texture[beside])), TEXTURE) if beside.any() else 0.0
+    return np.asarray(np.clip(texture / max(TEXTURED * usual, 1e-4), 0, 1), np.float32)
 
 
 def _shift(left: float, top: float) -> F64:

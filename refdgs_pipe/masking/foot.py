@@ -14,6 +14,7 @@ from refdgs_pipe.masking.levels import LEVELS
 from refdgs_pipe.masking.plain import plain_feet
 from refdgs_pipe.masking.repeating import covered, lattice
 from refdgs_pipe.masking.table import TOLERANCES, Table
+from refdgs_pipe.masking.unproven import unproven
 from refdgs_pipe.masking.walls import Wall, footprint, mirror_walls
 
 WIDE = 2.2  # radii of the ball that the plane's picture reaches at first
@@ -65,6 +66,7 @@ def foot(views: Views, model: SparseModel, plane: tuple[F64, float], threads: in
     if pattern is None:
         centers = np.stack([shot.camera.center for shot in shots])
         plain = plain_feet(table.colour, seen, ground, centers, ball.radius)
+        plain |= unproven(table.colour, seen, ground, centers, ball.radius)
         walls = mirror_walls(table, seen, centers, ball.radius)
         return Foot(walls, plain if plain.any() else None, ground.radius)
     return Foot([], covered(table.colour, _agreeing(table, seen), pattern), ground.radius)

@@ -5,7 +5,7 @@ Units are scene units, z is up. An object stands at `TABLE_Z` and fits into a ba
 
 import geom
 import numpy as np
-from objects import TABLE_Z, Objects, _box, _tube, _turned
+from objects import TABLE_Z, Objects, _box, _polygon, _tube, _turned, prism
 from scenes import LIN, mix, obj, tex_noise, uvgrid
 
 
@@ -132,3 +132,82 @@ def car() -> Objects:
             obj(f"hub{k}", geom.sphere(0.085, tuple(hub)), type="metal", preset="Cr", alpha=0.04)
         )
     return out
+
+
+def holder() -> Objects:
+    """A hexagonal pencil holder of satin steel, closed, with a red band of lacquer."""
+    foot, band = _polygon(6, 0.5, 0.35), _polygon(6, 0.505, 0.35)
+    z = TABLE_Z
+    return [
+        obj("holder", prism(foot, foot, z, z + 1.0), type="metal", preset="Cr", alpha=0.09),
+        obj(
+            "band",
+            prism(band, band, z + 0.62, z + 0.78),
+            type="gloss",
+            base=LIN("8c1512"),
+            alpha=0.05,
+        ),
+    ]
+
+
+def watch() -> Objects:
+    """A steel watch that stands on the ring of its bracelet: thin, with a hole, glass on top."""
+    turn = geom.rot("z", 25)
+    bracelet = geom.param_surface(
+        lambda u, w: np.stack(
+            [
+                (0.5 + 0.035 * np.cos(2 * np.pi * w)) * np.cos(2 * np.pi * u),
+                0.2 * np.sin(2 * np.pi * w),
+                (0.5 + 0.035 * np.cos(2 * np.pi * w)) * np.sin(2 * np.pi * u),
+            ],
+            -1,
+        ),
+        320,
+        90,
+    )
+    case = [(1e-4, -0.06), (0.33, -0.06), (0.36, -0.02), (0.36, 0.05), (0.32, 0.08), (1e-4, 0.08)]
+    dial = [(1e-4, 0.0), (0.27, 0.0), (0.27, 0.02), (1e-4, 0.02)]
+    lathe = [
+        geom.lathe(geom.spline(geom.polyline_rounded(p, 0.01, 6), kind="pchip"), 320, 200)
+        for p in (case, dial)
+    ]
+    high = TABLE_Z + 0.53
+    return [
+        obj(
+            "bracelet", geom.xf(bracelet, turn, (0, 0, high)), type="metal", preset="Cr", alpha=0.1
+        ),
+        obj(
+            "case",
+            geom.xf(lathe[0], turn, (0, 0, high + 0.53)),
+            type="metal",
+            preset="Au",
+            alpha=0.05,
+        ),
+        obj(
+            "dial",
+            geom.xf(lathe[1], turn, (0, 0, high + 0.6)),
+            type="gloss",
+            base=LIN("10243f"),
+            alpha=0.01,
+        ),
+    ]
+
+
+def helmet() -> Objects:
+    """A white lacquered helmet with a blue stripe and a dark visor."""
+    u, _ = uvgrid(512)
+    shell = mix(LIN("d8d6d0"), LIN("1c3f8f"), (np.abs(np.mod(u, 0.5) - 0.25) < 0.03) * 1.0)
+    dome = _turned(
+        [(0.5, 0.0), (0.62, 0.1), (0.72, 0.4), (0.66, 0.75), (0.42, 1.02), (1e-4, 1.12)], 0.1
+    )
+    floor = _turned([(1e-4, 0.02), (0.45, 0.02), (0.5, 0.0)], 0.005)
+    visor = geom.sphere(1.0)
+    scale = np.array([0.62, 0.56, 0.22])
+    normals = visor["N"] / scale
+    visor["V"] = visor["V"] * scale + [0.16, 0, TABLE_Z + 0.52]
+    visor["N"] = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    return [
+        obj("shell", dome, type="gloss", base=shell, alpha=0.03),
+        obj("floor", floor, type="diffuse", base=LIN("303030")),
+        obj("visor", visor, type="gloss", base=LIN("0b0d10"), alpha=0.015),
+    ]

@@ -75,4 +75,7 @@ RECIPES = {
     "trophy": Recipe(m.trophy, papers, "office", p.spiral, seed=45),
     "phone": Recipe(m.phone, p.stone, "room_b", p.rings, seed=47, drift=0.05),
     "car": Recipe(m.car, p.mosaic, "attic", p.spiral, seed=49),
+    "holder": Recipe(m.holder, papers, "square", p.rings, seed=51),
+    "watch": Recipe(m.watch, p.stone, "office", p.spiral, seed=53),
+    "helmet": Recipe(m.helmet, p.planks, "attic", p.rings, seed=55, checking=True, drift=0.05),
 }

@@ -1,0 +1,104 @@
+"""Where something hides the plane, and no texture proves that photos see the plane all the same.
+
+Below an object no photo sees the plane. What photos agree on there is the object's own foot: a
+blurred reflection, a metal of one colour. It is no proof of a plane, for it has no texture that
+photos from different sides agree on. Above the plane the object hides what is behind it, whatever
+its foot looks like: a place at some height that most photos see before something that is not the
+plane belongs to the object, or lies beside it.
+"""
+
+import cv2
+import numpy as np
+
+from refdgs_pipe.camera import F64
+from refdgs_pipe.ground.plane import Ground
+from refdgs_pipe.ground.shots import F32, Bools
+from refdgs_pipe.masking.table import TOLERANCES, same_texture
+
+HEIGHTS = (0.1, 0.15, 0.2, 0.3, 0.4)  # ball radii above the plane
+TAKEN = 0.4  # share of the photos that do not see the plane behind a place of the object
+SEEN = 0.6  # share of the photos that have to show a place
+SMOOTH = 0.035  # ball radii over which that share is averaged
+PATCHES = (2.0, 3.0)  # cells (sigma) over which texture is compared
+AGREE, TEXTURED = 0.5, 0.5  # correlation, and degree of texture, of a proof
+SECTORS, APART = 12, 2  # directions; that many apart have to agree
+SPECK = 0.08  # ball radii: smaller regions and gaps do not count
+AROUND, PROVEN = 0.25, 0.4  # ball radii round them, of which so large a share has to be proven
+
+
+def unproven(colour: F32, seen: F32, ground: Ground, centers: F64, radius: float) -> Bools:
+    """(n, n) cells of the plane below something, where nothing proves that photos see the plane.
+
+    None, if the plane around is not proven either.
+
+    Args:
+        colour: (n, n, 3) log colour that most photos agree on, NaN where unknown.
+        seen: (N, n, n, 3) the plane as each photo shows it, as from `Table.seen`.
+        centers: (N, 3) of the cameras, world; radius: of the ball round the object, world units.
+    """
+    n = len(colour)
+    cell = 2 * ground.radius / n
+    sure = proven(colour, seen, ground, centers)
+    under = below(colour, seen, ground, centers, radius) & ~sure
+    size = max(3, round(SPECK * radius / cell)) | 1
+    kernel = np.ones((size, size), np.uint8)
+    closed = cv2.morphologyEx(under.astype(np.uint8), cv2.MORPH_CLOSE, kernel)
+    found = cv2.morphologyEx(closed, cv2.MORPH_OPEN, kernel) > 0
+    wide = max(1, round(AROUND * radius / cell))
+    around = cv2.dilate(found.astype(np.uint8), np.ones((2 * wide + 1,) * 2, np.uint8)) > found
+    if not found.any() or sure[around].mean() < PROVEN:
+        return np.zeros((n, n), bool)
+    return np.asarray(found)
+
+
+def proven(colour: F32, seen: F32, ground: Ground, centers: F64) -> Bools:
+    """(n, n) cells whose texture photos from directions that lie far apart agree on."""
+    flat = _beside(ground, centers)
+    azimuth = np.arctan2(flat[:, 1], flat[:, 0]) % (2 * np.pi)
+    sector = np.minimum((azimuth / (2 * np.pi) * SECTORS).astype(int), SECTORS - 1)
+    picture = np.nan_to_num(colour).mean(-1)
+    agreed = np.zeros((SECTORS, *picture.shape), bool)
+    for one, towards in zip(seen, sector, strict=True):
+        near = np.abs(one - colour).max(-1) < TOLERANCES[0]  # not where either is unknown
+        known = np.isfinite(one[..., 0]) & np.isfinite(colour[..., 0])
+        shown = np.where(known, one.mean(-1), picture).astype(np.float32)
+        whole = cv2.erode(known.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+        for sigma in PATCHES:
+            like, texture = same_texture(shown, picture, sigma)
+            agreed[towards] |= whole & near & (like > AGREE) & (texture > TEXTURED)
+    found = np.zeros(picture.shape, bool)
+    for i in range(SECTORS):
+        for j in range(i + APART, min(SECTORS, i + SECTORS - APART + 1)):
+            found |= agreed[i] & agreed[j]
+    return found
+
+
+def below(colour: F32, seen: F32, ground: Ground, centers: F64, radius: float) -> Bools:
+    """(n, n) cells above which, at some height, photos do not see the plane."""
+    n = len(colour)
+    cell = 2 * ground.radius / n
+    flat, high = (
+        _beside(ground, centers),
+        np.abs((centers - ground.origin) @ np.cross(ground.a, ground.b)),
+    )
+    known = np.isfinite(seen[..., 0]) & np.isfinite(colour[..., 0])
+    other = (np.abs(seen - colour).max(-1) > TOLERANCES[0]) & known
+    found = np.zeros((n, n), bool)
+    for height in np.array(HEIGHTS) * radius:
+        taken, count = np.zeros((2, n, n), np.float32)
+        for i in np.flatnonzero(high > 1.5 * height):
+            # A place at this height hides the plane where the camera's ray through it ends.
+            grow = high[i] / (high[i] - height)
+            offset = (1 - grow) * (flat[i] / cell + n / 2 - 0.5)
+            away = np.array([[grow, 0, offset[0]], [0, grow, offset[1]]])
+            how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+            taken += cv2.warpAffine(other[i].astype(np.float32), away, (n, n), flags=how)
+            count += cv2.warpAffine(known[i].astype(np.float32), away, (n, n), flags=how)
+        share = np.where(count >= SEEN * len(seen), taken / np.maximum(count, 1), 0)
+        found |= cv2.GaussianBlur(share, (0, 0), SMOOTH * radius / cell) > TAKEN
+    return found
+
+
+def _beside(ground: Ground, centers: F64) -> F64:
+    """(N, 2) the cameras on the plane's axes."""
+    return np.stack([(centers - ground.origin) @ axis for axis in (ground.a, ground.b)], -1)

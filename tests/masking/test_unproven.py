@@ -1,0 +1,65 @@
+"""What lies below an object counts as the plane only if its texture proves it."""
+
+import numpy as np
+from boxes import BODY, GROUND, REACH, TABLE, WHITE, Box, N, cameras, shown
+
+from refdgs_pipe.ground.shots import F32, Bools
+from refdgs_pipe.masking.beyond import _proof
+from refdgs_pipe.masking.unproven import below, proven, unproven
+
+# Its lower half has the mean colour of the table, as a blurred reflection of it has.
+GREY: Box = ((-0.4, -0.3, 0.0), (0.4, 0.3, 0.3), TABLE)
+HEAD: Box = ((-0.4, -0.3, 0.3), (0.4, 0.3, 0.7), WHITE)
+HUNG: Box = ((-0.3, -0.3, 0.5), (0.3, 0.3, 0.7), WHITE)
+
+
+def found(seen: F32) -> Bools:
+    return unproven(np.median(seen, axis=0), seen, GROUND, cameras(), 1.0)
+
+
+def inside() -> Bools:
+    place = ((np.arange(N) + 0.5) / N * 2 - 1) * REACH
+    x, y = np.meshgrid(place, place)
+    return (np.abs(x) < 0.4) & (np.abs(y) < 0.3)
+
+
+def test_a_foot_that_looks_like_the_plane_is_found_below_what_does_not() -> None:
+    cells, true = found(shown([GREY, HEAD])), inside()
+    assert (cells & true).sum() / (cells | true).sum() > 0.6
+
+
+def test_nothing_is_found_on_an_empty_plane_nor_below_what_hangs_high() -> None:
+    assert not found(shown([])).any()
+    assert not found(shown([HUNG])).any()
+
+
+def test_nothing_is_said_of_a_plane_without_texture() -> None:
+    assert not found(shown([GREY, HEAD], contrast=0.0)).any()
+
+
+def test_texture_is_a_proof_only_if_photos_from_two_sides_see_it() -> None:
+    seen = shown([BODY])
+    colour = np.median(seen, axis=0)
+    far = proven(colour, seen, GROUND, cameras())[: N // 8]
+    assert far.mean() > 0.8
+    eyes = cameras()
+    near = np.linalg.norm(eyes - eyes[0], axis=1) < 1.2
+    assert not proven(colour, seen[near], GROUND, eyes[near])[: N // 8].any()
+
+
+def test_cells_below_a_body_are_those_above_which_it_is_seen() -> None:
+    seen = shown([HEAD, GREY])
+    cells = below(np.median(seen, axis=0), seen, GROUND, cameras(), 1.0)
+    assert cells[inside()].mean() > 0.95
+    assert cells[:, : N // 4].mean() < 0.02
+
+
+def test_likeness_without_texture_tells_little_beside_texture_and_all_in_a_plain_room() -> None:
+    rng = np.random.default_rng(0)
+    logs = rng.normal(0, 0.2, (40, 60, 3)).astype(np.float32)
+    logs[:, 30:] = 0.3
+    beside = np.ones((40, 60), bool)
+    proof = _proof(logs, beside)
+    assert np.median(proof[:, :25]) == 1 and proof[:, 40:].max() < 0.05
+    plain = rng.normal(0, 0.002, (40, 60, 3)).astype(np.float32)
+    assert np.median(_proof(plain, beside)) > 0.8
