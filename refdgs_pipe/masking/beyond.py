@@ -23,7 +23,7 @@ BEHIND = 1.3  # radii of the ball behind its centre, where the background begins
 STRANGE, MOST_STRANGE = 0.5, 0.4  # evidence, and the share of the surroundings
 EVEN = 0.6  # likeness that speaks for neither
 PATCH = 1.3  # pixels (sigma) over which texture is measured
-TEXTURED = 1.0  # of the texture beside the object, at which likeness counts in full
+TEXTURED = 0.5  # of the texture beside the object, at which likeness counts in full
 
 
 @dataclass(frozen=True)

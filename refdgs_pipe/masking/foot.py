@@ -48,7 +48,14 @@ class Foot:
         return np.asarray(behind | (found > 0.5))
 
 
-def foot(views: Views, model: SparseModel, plane: tuple[F64, float], threads: int) -> Foot:
+def foot(
+    views: Views,
+    model: SparseModel,
+    plane: tuple[F64, float],
+    threads: int,
+    *,
+    flash: bool = False,
+) -> Foot:
     """Where the object stands, as far as the plane's picture alone can tell.
 
     A ground that repeats tells it by its pattern. On another one, flat mirrors and plain bodies
@@ -56,6 +63,7 @@ def foot(views: Views, model: SparseModel, plane: tuple[F64, float], threads: in
 
     Args:
         plane: unit normal and offset, world.
+        flash: whether shadows move with the camera: the plane under them looks like something else.
     """
     level, ball = LEVELS[-1], model.ball
     shots = list(whole_shots(views, model, level.side))
@@ -66,7 +74,8 @@ def foot(views: Views, model: SparseModel, plane: tuple[F64, float], threads: in
     if pattern is None:
         centers = np.stack([shot.camera.center for shot in shots])
         plain = plain_feet(table.colour, seen, ground, centers, ball.radius)
-        plain |= unproven(table.colour, seen, ground, centers, ball.radius)
+        if not flash:
+            plain |= unproven(table.colour, seen, ground, centers, ball.radius)
         walls = mirror_walls(table, seen, centers, ball.radius)
         return Foot(walls, plain if plain.any() else None, ground.radius)
     return Foot([], covered(table.colour, _agreeing(table, seen), pattern), ground.radius)

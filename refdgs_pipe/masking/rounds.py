@@ -100,7 +100,7 @@ def object_masks(
         lamp: (3,) of a flash, in the camera's frame, whose shadow moves with it.
     """
     found: Found | None = None
-    stands = foot(views, model, plane, threads)
+    stands = foot(views, model, plane, threads, flash=lamp is not None)
     total, done = sum(len(level.denials) for level in LEVELS) + 1, 0
     for level in LEVELS:
         worker = _Worker(views, model, plane, level, found, threads, stands, lamp)

@@ -9,6 +9,7 @@ plane belongs to the object, or lies beside it.
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from refdgs_pipe.camera import F64
 from refdgs_pipe.ground.plane import Ground
@@ -22,7 +23,7 @@ SMOOTH = 0.035  # ball radii over which that share is averaged
 PATCHES = (2.0, 3.0)  # cells (sigma) over which texture is compared
 AGREE, TEXTURED = 0.5, 0.5  # correlation, and degree of texture, of a proof
 SECTORS, APART = 12, 2  # directions; that many apart have to agree
-SPECK = 0.08  # ball radii: smaller regions and gaps do not count
+GAP, FOOT = 0.08, 0.2  # ball radii: narrower gaps and feet do not count
 AROUND, PROVEN = 0.25, 0.4  # ball radii round them, of which so large a share has to be proven
 
 
@@ -40,10 +41,9 @@ def unproven(colour: F32, seen: F32, ground: Ground, centers: F64, radius: float
     cell = 2 * ground.radius / n
     sure = proven(colour, seen, ground, centers)
     under = below(colour, seen, ground, centers, radius) & ~sure
-    size = max(3, round(SPECK * radius / cell)) | 1
-    kernel = np.ones((size, size), np.uint8)
-    closed = cv2.morphologyEx(under.astype(np.uint8), cv2.MORPH_CLOSE, kernel)
-    found = cv2.morphologyEx(closed, cv2.MORPH_OPEN, kernel) > 0
+    gap, foot = (_disc(width * radius / cell) for width in (GAP, FOOT))
+    closed = cv2.morphologyEx(under.astype(np.uint8), cv2.MORPH_CLOSE, gap)
+    found = cv2.morphologyEx(closed, cv2.MORPH_OPEN, foot) > 0
     wide = max(1, round(AROUND * radius / cell))
     around = cv2.dilate(found.astype(np.uint8), np.ones((2 * wide + 1,) * 2, np.uint8)) > found
     if not found.any() or sure[around].mean() < PROVEN:
@@ -97,6 +97,11 @@ def below(colour: F32, seen: F32, ground: Ground, centers: F64, radius: float) -
         share = np.where(count >= SEEN * len(seen), taken / np.maximum(count, 1), 0)
         found |= cv2.GaussianBlur(share, (0, 0), SMOOTH * radius / cell) > TAKEN
     return found
+
+
+def _disc(width: float) -> NDArray[np.uint8]:
+    size = max(3, round(width)) | 1
+    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), np.uint8)
 
 
 def _beside(ground: Ground, centers: F64) -> F64:
