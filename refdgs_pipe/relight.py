@@ -17,13 +17,11 @@ from refdgs_pipe.artifacts.appearance import Appearance
 from refdgs_pipe.artifacts.lighting import WORLD, Lighting, angle_of, turned
 from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
 from refdgs_pipe.camera import Camera
-from refdgs_pipe.color import linear_from_srgb, srgb_from_linear
+from refdgs_pipe.color import srgb_from_linear
 from refdgs_pipe.ground_light import GroundLight
 from refdgs_pipe.irradiance import Sky, look_around
 from refdgs_pipe.lamp import Lamp
 from refdgs_pipe.light import (
-    DIELECTRIC,
-    SMOOTHEST,
     Environment,
     Light,
     Turned,
@@ -31,6 +29,7 @@ from refdgs_pipe.light import (
     reflected_share,
 )
 from refdgs_pipe.ray_casting import Hits, Solid, at_hits, half_vectors
+from refdgs_pipe.texels import Shaded, Texture, material_of
 from refdgs_pipe.vectors import unit
 
 F32 = NDArray[np.float32]
@@ -44,25 +43,6 @@ LOBE = 8  # rays of a lobe
 _LIFT = 0.0025  # of the object's diagonal: mirrored rays start this far above the surface
 _CHUNK = 1 << 18
 _ROOM_STEP = 10.0  # degrees between rooms for which the light on matte surfaces is gathered
-
-
-@dataclass(frozen=True)
-class Shaded:
-    """What the asset is at N places: base (N, 3) linear; roughness, metallic (N, 1)."""
-
-    base: F32
-    roughness: F32
-    metallic: F32
-
-    @property
-    def scattered(self) -> F32:
-        """(N, 3) share of the light received that is scattered."""
-        return self.base * (1 - self.metallic)
-
-    @property
-    def f0(self) -> F32:
-        """(N, 3) reflectance straight on."""
-        return DIELECTRIC * (1 - self.metallic) + self.base * self.metallic
 
 
 @dataclass(frozen=True)
@@ -110,7 +90,9 @@ class Relit:
         self.mesh, self.tangents = textured.mesh, textured.tangents
         self.solid = Solid(self.mesh.vertices, self.mesh.faces)
         self.light: Light = Environment(environment)
-        self._texture = _Texture(textured)
+        self._texture = Texture(
+            textured.base_color, textured.roughness, textured.metallic, textured.normal
+        )
         self.lift = np.float32(_LIFT * np.linalg.norm(np.ptp(self.mesh.vertices, axis=0)))
         self._sky, self._first, self._same = self._look()
         alone = np.asarray((self._sky.seen < 0).all(0))
@@ -229,7 +211,7 @@ class Relit:
 
         uv, plain = at(mesh.uv), at(mesh.normals)
         texels = self._texture.at(uv)
-        here, local = _shaded(texels), texels[:, 5:] * 2 - 1
+        here, local = material_of(texels), texels[:, 5:] * 2 - 1
         tangent = at(self.tangents[:, :3])
         sign = self.tangents[mesh.faces[hits.face, 0], 3:]
         normal = local[:, :1] * tangent + local[:, 1:2] * np.cross(plain, tangent) * sign
@@ -332,44 +314,7 @@ class Relit:
 
     def _at(self, uv: F32) -> Shaded:
         """The material at texture coordinates (N, 2)."""
-        return _shaded(self._texture.at(uv))
-
-
-class _Texture:
-    """The textures of an asset in the 256 steps that the exported pictures have.
-
-    All the bytes of a texel lie in one word, so that a lookup reads memory once.
-    """
-
-    def __init__(self, textured: TexturedMesh) -> None:
-        grey = [textured.roughness[..., None], textured.metallic[..., None]]
-        layers = (textured.base_color, *grey, textured.normal)
-        eight = [((layer.astype(np.uint32) + 128) // 257).astype(np.uint8) for layer in layers]
-        self._words = np.concatenate(eight, -1).view(np.uint64).reshape(-1)
-        self.size = textured.size
-        self._plain = np.arange(256, dtype=np.float32) / np.float32(255)
-        self._linear = linear_from_srgb(self._plain)
-
-    def at(self, uv: F32) -> F32:
-        """(N, 8) base colour, linear; roughness; metallic; normal as 0 to 1: bilinear lookups.
-
-        Args:
-            uv: (N, 2) texture coordinates.
-        """
-        x, y = np.clip(uv * self.size - 0.5, 0, self.size - 1.001).T
-        left, top = x.astype(int), y.astype(int)
-        right, below = np.minimum(left + 1, self.size - 1), np.minimum(top + 1, self.size - 1)
-        across, down = (x - left)[:, None], (y - top)[:, None]
-        upper = self._texels(top, left) * (1 - across) + self._texels(top, right) * across
-        lower = self._texels(below, left) * (1 - across) + self._texels(below, right) * across
-        return np.asarray(upper * (1 - down) + lower * down, np.float32)
-
-    def _texels(self, row: Ints, column: Ints) -> F32:
-        """(N, 8) the texels of some rows (N,) and columns (N,)."""
-        found = np.take(self._words, row * self.size + column).view(np.uint8).reshape(-1, 8)
-        values = self._plain[found]
-        values[:, :3] = self._linear[found[:, :3]]
-        return values
+        return material_of(self._texture.at(uv))
 
 
 def relit(
@@ -414,8 +359,3 @@ def rays_of(camera: Camera, pixels: Ints, offset: tuple[float, float] = (0.0, 0.
     x, y = column + 0.5 + offset[0], row + 0.5 + offset[1]
     towards = np.column_stack([x, y, np.ones(len(pixels))]) @ np.linalg.inv(camera.K).T
     return unit((towards @ camera.cam_from_world[:3, :3]).astype(np.float32))
-
-
-def _shaded(texels: F32) -> Shaded:
-    """The material of texels (N, 8) as `_Texture.at` gives them."""
-    return Shaded(texels[:, :3], np.maximum(texels[:, 3:4], SMOOTHEST), texels[:, 4:5])

@@ -24,6 +24,7 @@ STRANGE, MOST_STRANGE = 0.5, 0.4  # evidence, and the share of the surroundings
 EVEN = 0.6  # likeness that speaks for neither
 PATCH = 1.3  # pixels (sigma) over which texture is measured
 TEXTURED = 0.5  # of the texture beside the object, at which likeness counts in full
+LEAST = 0.5  # of likeness without any texture
 
 
 @dataclass(frozen=True)
@@ -109,7 +110,7 @@ def _judged(
 
 
 def _proof(logs: F32, beside: Bools) -> F32:
-    """(H, W) 0 to 1: how much likeness tells, by the texture of what is compared.
+    """(H, W) up to 1: how much likeness tells, by the texture of what is compared.
 
     Where the surroundings have texture, what has none is alike at some depth by chance.
 
@@ -118,7 +119,7 @@ def _proof(logs: F32, beside: Bools) -> F32:
     """
     texture = contrast(logs.mean(-1), PATCH)
     usual = min(float(np.median(texture[beside])), TEXTURE) if beside.any() else 0.0
-    return np.asarray(np.clip(texture / max(TEXTURED * usual, 1e-4), 0, 1), np.float32)
+    return np.asarray(np.clip(texture / max(TEXTURED * usual, 1e-4), LEAST, 1), np.float32)
 
 
 def _shift(left: float, top: float) -> F64:

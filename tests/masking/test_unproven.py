@@ -4,7 +4,7 @@ import numpy as np
 from boxes import BODY, GROUND, REACH, TABLE, WHITE, Box, N, cameras, shown
 
 from refdgs_pipe.ground.shots import F32, Bools
-from refdgs_pipe.masking.beyond import _proof
+from refdgs_pipe.masking.beyond import LEAST, _proof
 from refdgs_pipe.masking.unproven import below, proven, unproven
 
 # Its lower half has the mean colour of the table, as a blurred reflection of it has.
@@ -60,6 +60,6 @@ def test_likeness_without_texture_tells_little_beside_texture_and_all_in_a_plain
     logs[:, 30:] = 0.3
     beside = np.ones((40, 60), bool)
     proof = _proof(logs, beside)
-    assert np.median(proof[:, :25]) == 1 and proof[:, 40:].max() < 0.05
+    assert np.median(proof[:, :25]) == 1 and proof[:, 40:].max() < LEAST + 0.05
     plain = rng.normal(0, 0.002, (40, 60, 3)).astype(np.float32)
     assert np.median(_proof(plain, beside)) > 0.8
