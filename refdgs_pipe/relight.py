@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from refdgs_pipe.artifacts.appearance import Appearance
 from refdgs_pipe.artifacts.lighting import WORLD, Lighting, angle_of, turned
 from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
+from refdgs_pipe.asset_textures import AssetTextures, Shaded, material_of
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.color import srgb_from_linear
 from refdgs_pipe.ground_light import GroundLight
@@ -29,7 +30,6 @@ from refdgs_pipe.light import (
     reflected_share,
 )
 from refdgs_pipe.ray_casting import Hits, Solid, at_hits, half_vectors
-from refdgs_pipe.texels import Shaded, Texture, material_of
 from refdgs_pipe.vectors import unit
 
 F32 = NDArray[np.float32]
@@ -90,7 +90,7 @@ class Relit:
         self.mesh, self.tangents = textured.mesh, textured.tangents
         self.solid = Solid(self.mesh.vertices, self.mesh.faces)
         self.light: Light = Environment(environment)
-        self._texture = Texture(
+        self._textures = AssetTextures(
             textured.base_color, textured.roughness, textured.metallic, textured.normal
         )
         self.lift = np.float32(_LIFT * np.linalg.norm(np.ptp(self.mesh.vertices, axis=0)))
@@ -198,7 +198,7 @@ class Relit:
             found[some.rays] = np.column_stack([np.clip(shaded, 0, 1), np.ones(len(shaded))])
         return found
 
-    def surface(self, hits: Hits, toward: F32, lobe: range = range(LOBE)) -> Seen:
+    def surface(self, hits: Hits, toward: F32, lobe: range) -> Seen:
         """What makes up the radiance towards the eye, (N, 3) unit, of places that were met.
 
         Args:
@@ -210,7 +210,7 @@ class Relit:
             return at_hits(values, mesh.faces, hits.face, hits.weights)
 
         uv, plain = at(mesh.uv), at(mesh.normals)
-        texels = self._texture.at(uv)
+        texels = self._textures.at(uv)
         here, local = material_of(texels), texels[:, 5:] * 2 - 1
         tangent = at(self.tangents[:, :3])
         sign = self.tangents[mesh.faces[hits.face, 0], 3:]
@@ -314,7 +314,7 @@ class Relit:
 
     def _at(self, uv: F32) -> Shaded:
         """The material at texture coordinates (N, 2)."""
-        return material_of(self._texture.at(uv))
+        return material_of(self._textures.at(uv))
 
 
 def relit(

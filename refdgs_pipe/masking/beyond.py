@@ -22,9 +22,9 @@ MARGIN = 0.5  # of what is covered, that is judged round it
 BEHIND = 1.3  # radii of the ball behind its centre, where the background begins
 STRANGE, MOST_STRANGE = 0.5, 0.4  # evidence, and the share of the surroundings
 EVEN = 0.6  # likeness that speaks for neither
-PATCH = 1.3  # pixels (sigma) over which texture is measured
-TEXTURED = 0.5  # of the texture beside the object, at which likeness counts in full
-LEAST = 0.5  # of likeness without any texture
+TEXTURE_PATCH = 1.3  # pixels (sigma) over which texture is measured
+TEXTURED = 0.5  # share of the usual texture beside the object at which likeness counts in full
+LEAST = 0.5  # weight of likeness without any texture
 
 
 @dataclass(frozen=True)
@@ -110,14 +110,14 @@ def _judged(
 
 
 def _proof(logs: F32, beside: Bools) -> F32:
-    """(H, W) up to 1: how much likeness tells, by the texture of what is compared.
+    """(H, W) from `LEAST` to 1: the weight of likeness, by the texture of the photo.
 
-    Where the surroundings have texture, what has none is alike at some depth by chance.
+    In surroundings with texture, a pixel without any is like another photo at some depth by chance.
 
     Args:
-        beside: (H, W) the surroundings.
+        logs: (H, W, 3) the photo, log colour; beside: (H, W) its pixels beside the object.
     """
-    texture = contrast(logs.mean(-1), PATCH)
+    texture = contrast(logs.mean(-1), TEXTURE_PATCH)
     usual = min(float(np.median(texture[beside])), TEXTURE) if beside.any() else 0.0
     return np.asarray(np.clip(texture / max(TEXTURED * usual, 1e-4), LEAST, 1), np.float32)
 

@@ -26,8 +26,9 @@ class Foot:
 
     Args:
         walls: the flat mirrors that stand on the plane.
-        covered: (n, n) of a picture of the plane, where its pattern does not go on, or where a
-            plain body stands; None where nothing is known of that.
+        covered: (n, n) of a picture of the plane, where evidence for it does not count: its pattern
+            does not go on, a plain body stands, or something hides it and no texture proves it;
+            None where nothing is known of that.
         radius: how far that picture reaches, world units.
     """
 
@@ -58,12 +59,12 @@ def foot(
 ) -> Foot:
     """Where the object stands, as far as the plane's picture alone can tell.
 
-    A ground that repeats tells it by its pattern. On another one, flat mirrors and plain bodies
-    tell it.
+    A ground that repeats tells it by its pattern. On another one, flat mirrors, plain bodies and
+    places without proof of the plane tell it.
 
     Args:
         plane: unit normal and offset, world.
-        flash: whether shadows move with the camera: the plane under them looks like something else.
+        flash: whether shadows move with the camera; the plane in them does not look like itself.
     """
     level, ball = LEVELS[-1], model.ball
     shots = list(whole_shots(views, model, level.side))
@@ -73,11 +74,12 @@ def foot(
     pattern = lattice(table.colour.mean(-1), table.share)
     if pattern is None:
         centers = np.stack([shot.camera.center for shot in shots])
-        plain = plain_feet(table.colour, seen, ground, centers, ball.radius)
+        given = (table.colour, seen, ground, centers, ball.radius)
+        there = plain_feet(*given)
         if not flash:
-            plain |= unproven(table.colour, seen, ground, centers, ball.radius)
+            there |= unproven(*given)
         walls = mirror_walls(table, seen, centers, ball.radius)
-        return Foot(walls, plain if plain.any() else None, ground.radius)
+        return Foot(walls, there if there.any() else None, ground.radius)
     return Foot([], covered(table.colour, _agreeing(table, seen), pattern), ground.radius)
 
 

@@ -1,10 +1,11 @@
-"""Where something hides the plane, and no texture proves that photos see the plane all the same.
+"""Places below an object where no texture proves that photos see the plane.
 
-Below an object no photo sees the plane. What photos agree on there is the object's own foot: a
-blurred reflection, a metal of one colour. It is no proof of a plane, for it has no texture that
-photos from different sides agree on. Above the plane the object hides what is behind it, whatever
-its foot looks like: a place at some height that most photos see before something that is not the
-plane belongs to the object, or lies beside it.
+Where an object stands, no photo sees the plane. Photos can still agree on a colour there: that of
+a blurred reflection on the foot of the object. But photos from different sides do not agree on a
+texture there, as they do where they see the plane.
+
+The places below an object are found by what it hides. A point above the plane is taken if many
+photos do not see the plane behind it.
 """
 
 import cv2
@@ -23,14 +24,14 @@ SMOOTH = 0.035  # ball radii over which that share is averaged
 PATCHES = (2.0, 3.0)  # cells (sigma) over which texture is compared
 AGREE, TEXTURED = 0.5, 0.5  # correlation, and degree of texture, of a proof
 SECTORS, APART = 12, 2  # directions; that many apart have to agree
-GAP, FOOT = 0.08, 0.2  # ball radii: narrower gaps and feet do not count
-AROUND, PROVEN = 0.25, 0.4  # ball radii round them, of which so large a share has to be proven
+GAP, FOOT = 0.08, 0.2  # ball radii: narrower gaps are closed, narrower feet are left out
+AROUND, PROVEN = 0.25, 0.4  # ball radii round the places, and the share of it that is proven
 
 
 def unproven(colour: F32, seen: F32, ground: Ground, centers: F64, radius: float) -> Bools:
     """(n, n) cells of the plane below something, where nothing proves that photos see the plane.
 
-    None, if the plane around is not proven either.
+    No cell is marked if the plane around them is not proven either.
 
     Args:
         colour: (n, n, 3) log colour that most photos agree on, NaN where unknown.
@@ -52,7 +53,11 @@ def unproven(colour: F32, seen: F32, ground: Ground, centers: F64, radius: float
 
 
 def proven(colour: F32, seen: F32, ground: Ground, centers: F64) -> Bools:
-    """(n, n) cells whose texture photos from directions that lie far apart agree on."""
+    """(n, n) cells whose texture photos from directions that lie far apart agree on.
+
+    Args:
+        colour, seen, ground, centers: as for `unproven`.
+    """
     flat = _beside(ground, centers)
     azimuth = np.arctan2(flat[:, 1], flat[:, 0]) % (2 * np.pi)
     sector = np.minimum((azimuth / (2 * np.pi) * SECTORS).astype(int), SECTORS - 1)
@@ -74,20 +79,22 @@ def proven(colour: F32, seen: F32, ground: Ground, centers: F64) -> Bools:
 
 
 def below(colour: F32, seen: F32, ground: Ground, centers: F64, radius: float) -> Bools:
-    """(n, n) cells above which, at some height, photos do not see the plane."""
+    """(n, n) cells above which, at some height, many photos do not see the plane.
+
+    Args:
+        colour, seen, ground, centers, radius: as for `unproven`.
+    """
     n = len(colour)
     cell = 2 * ground.radius / n
-    flat, high = (
-        _beside(ground, centers),
-        np.abs((centers - ground.origin) @ np.cross(ground.a, ground.b)),
-    )
+    flat = _beside(ground, centers)
+    high = np.abs((centers - ground.origin) @ np.cross(ground.a, ground.b))
     known = np.isfinite(seen[..., 0]) & np.isfinite(colour[..., 0])
     other = (np.abs(seen - colour).max(-1) > TOLERANCES[0]) & known
     found = np.zeros((n, n), bool)
     for height in np.array(HEIGHTS) * radius:
         taken, count = np.zeros((2, n, n), np.float32)
         for i in np.flatnonzero(high > 1.5 * height):
-            # A place at this height hides the plane where the camera's ray through it ends.
+            # A point at this height hides the plane where the camera's ray through it meets it.
             grow = high[i] / (high[i] - height)
             offset = (1 - grow) * (flat[i] / cell + n / 2 - 0.5)
             away = np.array([[grow, 0, offset[0]], [0, grow, offset[1]]])
@@ -100,6 +107,7 @@ def below(colour: F32, seen: F32, ground: Ground, centers: F64, radius: float) -
 
 
 def _disc(width: float) -> NDArray[np.uint8]:
+    """A kernel of so many cells across, an odd number of at least three."""
     size = max(3, round(width)) | 1
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), np.uint8)
 

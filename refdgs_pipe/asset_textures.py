@@ -32,7 +32,7 @@ class Shaded:
         return DIELECTRIC * (1 - self.metallic) + self.base * self.metallic
 
 
-class Texture:
+class AssetTextures:
     """The textures of an asset in the 256 steps that the exported pictures have.
 
     All the bytes of a texel lie in one word, so that a lookup reads memory once.
@@ -72,5 +72,5 @@ class Texture:
 
 
 def material_of(texels: F32) -> Shaded:
-    """The material of texels (N, 8) as `Texture.at` gives them."""
+    """The material of texels (N, 8) as `AssetTextures.at` gives them."""
     return Shaded(texels[:, :3], np.maximum(texels[:, 3:4], SMOOTHEST), texels[:, 4:5])
