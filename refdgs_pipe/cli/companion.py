@@ -71,8 +71,8 @@ class Companion:
     def stay(self, text: str) -> None:
         """Say something and wait until the process ends, or Ctrl-C."""
         if self.process.poll() is None:
-            print(text, file=sys.stderr, flush=True)
-            with suppress(KeyboardInterrupt):
+            with suppress(KeyboardInterrupt):  # it may come as soon as the text is there
+                print(text, file=sys.stderr, flush=True)
                 self.process.wait()
 
     def end(self) -> None:

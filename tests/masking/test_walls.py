@@ -91,7 +91,12 @@ def test_the_four_walls_of_a_mirror_box_are_found() -> None:
 
 @pytest.mark.parametrize(
     ("kind", "cells"),
-    [("blots", CELLS), ("stripes", CELLS), ("squares", CELLS), ("tiles", 256)],  # grout is narrow
+    [
+        ("blots", CELLS),
+        ("stripes", CELLS),
+        ("squares", CELLS),
+        pytest.param("tiles", 256, marks=pytest.mark.slow),  # grout is narrow
+    ],
 )
 def test_an_object_that_mirrors_nothing_has_no_walls(kind: str, cells: int) -> None:
     seen, centers = capture(mirror=False, kind=kind, cells=cells)

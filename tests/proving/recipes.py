@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import household as h
 import more_objects as m
 import numpy as np
 import objects as o
@@ -78,4 +79,10 @@ RECIPES = {
     "holder": Recipe(m.holder, papers, "square", p.rings, seed=51),
     "watch": Recipe(m.watch, p.stone, "office", p.spiral, seed=53),
     "helmet": Recipe(m.helmet, p.planks, "attic", p.rings, seed=55, checking=True, drift=0.05),
+    "skillet": Recipe(h.skillet, p.mosaic, "office", p.spiral, seed=57),
+    "camera": Recipe(h.camera, p.planks, "square", p.rings, seed=59, drift=0.05),
+    "stool": Recipe(h.stool, papers, "attic", p.rings, seed=61),
+    "bottle": Recipe(h.bottle, p.stone, "square", p.spiral, seed=63, checking=True),
+    "mouse": Recipe(h.mouse, papers, "room_b", p.rings, seed=65, checking=True, drift=0.05),
+    "plate": Recipe(h.plate, p.planks, "office", p.rings, seed=67, checking=True),
 }

@@ -168,6 +168,7 @@ def test_photos_that_agree_on_nothing_show_the_volume_no_hollows() -> None:
     assert empty[hull.cells].mean() < 0.02
 
 
+@pytest.mark.slow
 def test_a_volume_that_only_imitates_the_photos_it_learned_opens_nothing() -> None:
     hull, colors, masks, cameras = hull_of("box", "noise")
     some = [list(part)[::5] for part in (cameras, colors, masks)]

@@ -83,6 +83,7 @@ def test_the_comparison_with_recorded_steps_runs_dry(tmp_path: Path) -> None:
     assert record["ok"] and record["same bits"] and record["steps"] == 3
 
 
+@pytest.mark.slow
 def test_parity_and_timing_run_dry(tmp_path: Path) -> None:
     pytest.importorskip("_refdgs_emulated")
     for name in ("parity", "timing"):
