@@ -7,7 +7,7 @@ from refdgs_pipe.pipeline.stage import Job, stage
 from refdgs_pipe.surface.settings import ExtractParams
 
 
-@stage(version=2, programs=("open3d-cpu",), by_device=True)
+@stage(version=3, programs=("open3d-cpu",), by_device=True)
 def extract(field: SurfelField, model: SparseModel, params: ExtractParams, job: Job) -> RawMesh:
     """Fuse the depth that every camera sees of the field into one mesh."""
     from refdgs_pipe.surface.tsdf import Volume

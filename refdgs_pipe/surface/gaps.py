@@ -27,10 +27,12 @@ from refdgs_pipe.surface.topology import compacted
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
-REACH = 0.02  # of the ball's diameter, from a torn rim
+REACH = 0.12  # of the ball's diameter, from a torn rim
+_ALL = 1.5  # reaches: a brim that hangs from one side is no wider along the surface
 _LONGEST = 480  # pixels of the maps that are kept
 _SURE = 3  # views that have to see that a place is empty
 _THIN = 2e-4  # of the ball's diameter, off the ground, for what lies on it
+_LOW = 3e-3  # of the ball's diameter: a rim that lies lower is on the ground
 _SAME = 1e-3  # of the ball's diameter, by which fusion's own surface may move beside a gap
 _ROW = 1024  # points that are looked up in one row
 
@@ -146,7 +148,7 @@ def only_bridges(closed: RawMesh, torn: RawMesh, ground: F64, diameter: float) -
     """A mesh with closed gaps, without what hangs from one side of a gap only.
 
     Such a brim says nothing of the object: below a lamp's shade it is a lid that ends in the air.
-    Added faces go within REACH of each rim that is not on the ground.
+    Added faces go within _ALL * REACH of each rim that is not on the ground.
 
     Args:
         closed, torn: the mesh with closed gaps, and before; (3,) ground as in `Gaps`.
@@ -155,7 +157,7 @@ def only_bridges(closed: RawMesh, torn: RawMesh, ground: F64, diameter: float) -
     points = closed.vertices.astype(np.float64)
     added = cKDTree(torn.vertices).query(points)[0] > _SAME * diameter
     rim = rim_of(closed).vertices
-    free = rim[np.abs(points[rim] @ ground) > _THIN * diameter]
+    free = rim[np.abs(points[rim] @ ground) > _LOW * diameter]
     links = links_of(closed.faces)
     links = links[added[links].any(1)]
     a, b = links.T
@@ -163,7 +165,7 @@ def only_bridges(closed: RawMesh, torn: RawMesh, ground: F64, diameter: float) -
     net = csr_array((length, (a, b)), shape=(len(points), len(points)))
     if not len(free):
         return closed
-    away = dijkstra(net, directed=False, indices=free, min_only=True, limit=REACH * diameter)
+    away = dijkstra(net, directed=False, indices=free, min_only=True, limit=_ALL * REACH * diameter)
     gone = added & np.isfinite(away)
     kept = compacted(closed.vertices, closed.faces[~gone[closed.faces].any(1)])
     return RawMesh(kept.vertices, kept.faces)

@@ -65,6 +65,17 @@ def test_a_body_is_joined_to_its_foot_and_ends_on_the_ground() -> None:
     assert low.min() > FOOT - 1.5 * VOXEL and low.max() < FOOT + 1.5 * VOXEL
 
 
+def test_a_belly_whose_underside_no_view_sees_ends_on_the_ground() -> None:
+    belly = Scene((Sphere((0.0, 0.0, BODY), BODY, waves),), gradient_sky)
+    torn = without_base(fused(belly, 20, 40, close=False), UP, DIAMETER)
+    assert rim_heights(torn).min() > 0.02 * DIAMETER
+    closed = without_base(fused(belly, 20, 40), UP, DIAMETER)
+    assert np.abs(rim_heights(closed)).max() < VOXEL / 4
+    low = closed.vertices[closed.vertices[:, 2] < 0.01, :2]
+    # No view looks under it: its outlines at 20 degrees meet the ground at this radius.
+    assert np.linalg.norm(low, axis=1).max() < BODY * np.tan(np.radians(10)) + 3 * VOXEL
+
+
 def test_a_closed_base_makes_the_mesh_watertight() -> None:
     raw = fused(STANDING, 15, 40)
     settings = {"floater": 0.1, "hole": 0.1, "smoothing": 0, "faces": 10**6}
