@@ -25,13 +25,15 @@ PATCHES = (2.0, 3.0)  # cells (sigma) over which texture is compared
 AGREE, TEXTURED = 0.5, 0.5  # correlation, and degree of texture, of a proof
 SECTORS, APART = 12, 2  # directions; that many apart have to agree
 GAP, FOOT = 0.08, 0.2  # ball radii: narrower gaps are closed, narrower feet are left out
+ALIKE = 0.65  # mean share of the photos that have to agree on the colour of a part
 AROUND, PROVEN = 0.25, 0.4  # ball radii round the places, and the share of it that is proven
 
 
 def unproven(colour: F32, seen: F32, ground: Ground, centers: F64, radius: float) -> Bools:
     """(n, n) cells of the plane below something, where nothing proves that photos see the plane.
 
-    No cell is marked if the plane around them is not proven either.
+    No cell is marked if the plane around them is not proven either, nor a part on whose colour
+    photos disagree: there is no evidence for the plane then that could mislead.
 
     Args:
         colour: (n, n, 3) log colour that most photos agree on, NaN where unknown.
@@ -49,7 +51,7 @@ def unproven(colour: F32, seen: F32, ground: Ground, centers: F64, radius: float
     around = cv2.dilate(found.astype(np.uint8), np.ones((2 * wide + 1,) * 2, np.uint8)) > found
     if not found.any() or sure[around].mean() < PROVEN:
         return np.zeros((n, n), bool)
-    return np.asarray(found)
+    return _agreed(found, colour, seen)
 
 
 def proven(colour: F32, seen: F32, ground: Ground, centers: F64) -> Bools:
@@ -104,6 +106,18 @@ def below(colour: F32, seen: F32, ground: Ground, centers: F64, radius: float) -
         share = np.where(count >= SEEN * len(seen), taken / np.maximum(count, 1), 0)
         found |= cv2.GaussianBlur(share, (0, 0), SMOOTH * radius / cell) > TAKEN
     return found
+
+
+def _agreed(found: Bools, colour: F32, seen: F32) -> Bools:
+    """(n, n) the parts of what was found on whose colour most photos agree."""
+    known = np.isfinite(seen[..., 0]) & np.isfinite(colour[..., 0])
+    near = (np.abs(seen - colour).max(-1) < TOLERANCES[1]) & known
+    share = near.sum(0) / np.maximum(known.sum(0), 1)
+    count, parts = cv2.connectedComponents(found.astype(np.uint8))
+    sizes = np.maximum(np.bincount(parts.ravel(), minlength=count), 1)
+    agreed = np.bincount(parts.ravel(), share.ravel(), count) / sizes >= ALIKE
+    agreed[0] = False
+    return np.asarray(agreed[parts])
 
 
 def _disc(width: float) -> NDArray[np.uint8]:
