@@ -32,8 +32,8 @@ AROUND, PROVEN = 0.25, 0.4  # ball radii round the places, and the share of it t
 def unproven(colour: F32, seen: F32, ground: Ground, centers: F64, radius: float) -> Bools:
     """(n, n) cells of the plane below something, where nothing proves that photos see the plane.
 
-    No cell is marked if the plane around them is not proven either, nor a part on whose colour
-    photos disagree: there is no evidence for the plane then that could mislead.
+    No cell is marked if the plane around them is not proven either. A part is marked only if most
+    photos agree on its colour: that agreement is the evidence for the plane that can mislead.
 
     Args:
         colour: (n, n, 3) log colour that most photos agree on, NaN where unknown.

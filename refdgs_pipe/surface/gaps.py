@@ -28,7 +28,7 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
 REACH = 0.12  # of the ball's diameter, from a torn rim
-_ALL = 1.5  # reaches: a brim that hangs from one side is no wider along the surface
+_BRIM = 1.5  # of REACH: so wide, along the surface, is a brim that hangs from one side, at most
 _LONGEST = 480  # pixels of the maps that are kept
 _SURE = 3  # views that have to see that a place is empty
 _THIN = 2e-4  # of the ball's diameter, off the ground, for what lies on it
@@ -148,7 +148,7 @@ def only_bridges(closed: RawMesh, torn: RawMesh, ground: F64, diameter: float) -
     """A mesh with closed gaps, without what hangs from one side of a gap only.
 
     Such a brim says nothing of the object: below a lamp's shade it is a lid that ends in the air.
-    Added faces go within _ALL * REACH of each rim that is not on the ground.
+    Added faces go within the width of a brim from each rim that is not on the ground.
 
     Args:
         closed, torn: the mesh with closed gaps, and before; (3,) ground as in `Gaps`.
@@ -165,7 +165,9 @@ def only_bridges(closed: RawMesh, torn: RawMesh, ground: F64, diameter: float) -
     net = csr_array((length, (a, b)), shape=(len(points), len(points)))
     if not len(free):
         return closed
-    away = dijkstra(net, directed=False, indices=free, min_only=True, limit=_ALL * REACH * diameter)
+    away = dijkstra(
+        net, directed=False, indices=free, min_only=True, limit=_BRIM * REACH * diameter
+    )
     gone = added & np.isfinite(away)
     kept = compacted(closed.vertices, closed.faces[~gone[closed.faces].any(1)])
     return RawMesh(kept.vertices, kept.faces)

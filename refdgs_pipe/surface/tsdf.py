@@ -139,7 +139,7 @@ class Volume:
         points, row = self._places(table.find(keys)[0])
         chosen = weights[row] < min_views - 0.5
         chosen[chosen] = gaps.among(points[chosen], rim)
-        values[row[chosen]] = _thinned(gaps.distances, points, chosen)
+        values[row[chosen]] = _distances(gaps.distances, points, chosen)
         weights[row[chosen]] = min_views
         active = table.active_buf_indices()
         edge = _BLOCK * self.voxel
@@ -154,26 +154,30 @@ class Volume:
         return places.numpy().astype(np.float64), rows.numpy()
 
 
-def _thinned(distances: Callable[[F64], F32], points: F64, chosen: Bools) -> F32:
-    """Distances of the chosen points (N,) of blocks (N, 3), in bands, block after block.
+def _distances(distances: Callable[[F64], F32], points: F64, chosen: Bools) -> F32:
+    """(K,) signed distances, in bands, of the K chosen voxels of some blocks.
 
-    Every other point along each axis is looked at first. Where these all are a band or more on
-    one side, so is the whole block.
+    Of each block, every other voxel along each axis is looked at first. If these all are a band
+    or more on one side of the surface, the whole block is taken to be. No voxel is two voxels or
+    more from one that was looked at, and a band is at least as wide: the surface is elsewhere.
+
+    Args:
+        distances: of points (N, 3), world; (N,) clipped to -1 (solid) and 1 (empty).
+        points: (B * _BLOCK**3, 3) all voxels of B blocks, block after block.
+        chosen: (B * _BLOCK**3,) those that are wanted.
     """
     cube = np.stack(np.meshgrid(*[np.arange(_BLOCK)] * 3, indexing="ij"), -1).reshape(-1, 3)
     few = (cube % 2 == 0).all(1)
-    of_block = points.reshape(-1, len(cube), 3)
-    chosen = chosen.reshape(-1, len(cube))
-    out = np.zeros(chosen.shape, np.float32)
-    blocks = np.flatnonzero(chosen.any(1))
-    first = distances(of_block[blocks][:, few].reshape(-1, 3)).reshape(len(blocks), -1)
-    empty, solid = (first >= 1).all(1), (first <= -1).all(1)
-    out[blocks[empty]], out[blocks[solid]] = 1, -1
-    rest = np.zeros(len(chosen), bool)
-    rest[blocks[~(empty | solid)]] = True
-    here = chosen & rest[:, None]
-    out[here] = distances(of_block[here])
-    return out[chosen]
+    voxels, wanted = points.reshape(-1, len(cube), 3), chosen.reshape(-1, len(cube))
+    blocks = np.flatnonzero(wanted.any(1))
+    first = distances(voxels[blocks][:, few].reshape(-1, 3)).reshape(len(blocks), -1)
+    out = np.zeros(wanted.shape, np.float32)
+    out[blocks] = first[:, :1]
+    mixed = blocks[~((first >= 1).all(1) | (first <= -1).all(1))]
+    fine = np.zeros_like(wanted)
+    fine[mixed] = wanted[mixed]
+    out[fine] = distances(voxels[fine])
+    return out[wanted]
 
 
 def _ordered(vertices: F32, faces: NDArray[np.int32]) -> tuple[F32, NDArray[np.int32]]:

@@ -14,7 +14,7 @@ from refdgs_pipe.camera import Camera
 from refdgs_pipe.surface.cleanup import clean
 from refdgs_pipe.surface.gaps import without_base
 from refdgs_pipe.surface.rims import rim_of
-from refdgs_pipe.surface.tsdf import Volume
+from refdgs_pipe.surface.tsdf import Volume, _distances
 
 BALL = Ball(np.array([0.0, 0.0, 0.5]), 1.0)
 DIAMETER, VOXEL, UP = 2.0, 0.02, np.array([0.0, 0.0, 1.0])
@@ -74,6 +74,28 @@ def test_a_belly_whose_underside_no_view_sees_ends_on_the_ground() -> None:
     low = closed.vertices[closed.vertices[:, 2] < 0.01, :2]
     # No view looks under it: its outlines at 20 degrees meet the ground at this radius.
     assert np.linalg.norm(low, axis=1).max() < BODY * np.tan(np.radians(10)) + 3 * VOXEL
+
+
+def test_voxels_far_from_the_surface_need_no_look_of_their_own() -> None:
+    cube = np.stack(np.meshgrid(*[np.arange(8)] * 3, indexing="ij"), -1).reshape(-1, 3)
+    corners = np.stack(np.meshgrid(*[np.arange(-3, 3) * 8] * 3, indexing="ij"), -1).reshape(-1, 3)
+    points = (corners[:, None] + cube).reshape(-1, 3).astype(np.float64)
+    chosen = np.random.default_rng(0).random(len(points)) < 0.7
+    looked_at = []
+
+    def ball(places: NDArray[np.float64]) -> NDArray[np.float32]:
+        looked_at.append(len(places))
+        outside = (np.linalg.norm(places, axis=1) - 13) / 4
+        return np.asarray(np.clip(outside, -1, 1), np.float32)
+
+    found = _distances(ball, points, chosen)
+    assert sum(looked_at) < 0.8 * chosen.sum()
+    true = ball(points[chosen])
+    near = (
+        np.abs(true) < 0.5
+    )  # the surface lies between such voxels; elsewhere only the sign counts
+    np.testing.assert_array_equal(found[near], true[near])
+    np.testing.assert_array_equal(np.sign(found), np.sign(true))
 
 
 def test_a_closed_base_makes_the_mesh_watertight() -> None:
