@@ -156,7 +156,7 @@ class RecordedSteps:
         """What a recording cannot be told anew."""
         camera = photo.pinhole
         size = (camera.width, camera.height, camera.near)
-        told = photo.mask is None, photo.valid is None
+        told = tuple(getattr(photo, name) is None for name in TENSORS if name != "held")
         field = self._field
         return (*size, *told, *field.parts(fraction), field.weighs_specular(fraction))
 
