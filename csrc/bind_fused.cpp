@@ -43,15 +43,6 @@ template <class S> void bind_sph_mip(nb::module_& m, const char* name, const cha
   });
 }
 
-// Addresses, each with the strides of rows and columns and the number of columns.
-template <class S> MlpTables<S> mlp_tables(Tables columns) {
-  MlpTables<S> tables{};
-  for (const auto& [address, sizes] : columns)
-    tables.of[tables.count++] = {at<S>(address), sizes[0], sizes[1], int(sizes[2])};
-  return tables;
-}
-
-// shape: points, inputs, hidden layers, outputs, half.
 template <class S> void bind_mlp(nb::module_& m, const char* name, const char* bwd_name) {
   m.def(name, [](Size shape, Tables x, Addresses weights, Addresses biases, Numbers cap, Address kept, int threads,
                  Address out) {

@@ -40,6 +40,16 @@ template <class S> MlpParameters<S> mlp_parameters(Addresses weights, Addresses 
   return net;
 }
 
+// Addresses, each with the strides of rows and columns and the number of columns.
+template <class S> MlpTables<S> mlp_tables(Tables columns) {
+  MlpTables<S> tables{};
+  for (const auto& [address, sizes] : columns)
+    tables.of[tables.count++] = {at<S>(address), sizes[0], sizes[1], int(sizes[2])};
+  return tables;
+}
+
+// shape: points, inputs, hidden layers, outputs, half.
+
 // shape: points, inputs, hidden layers, outputs; cap: empty, or of the exponential.
 inline MlpPoints mlp_points(Size shape, Numbers cap, bool half, Address kept) {
   return {shape[0], !cap.empty(), cap.empty() ? 0 : cap[0], half, at<uint32_t>(kept)};

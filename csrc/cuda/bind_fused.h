@@ -49,16 +49,15 @@ template <class S, class Queue> void bind_sph_mip(nb::module_& m, const std::str
   });
 }
 
-// shape: points, inputs, hidden layers, outputs, blocks, tensor cores; cap: empty, or of the exponential; limit: of the
-// points that are looked at, or 0.
+// shape: points, inputs, hidden layers, outputs, blocks, tensor cores, bfloat16 products; cap: empty, or of the
+// exponential; limit: of the points that are looked at, or 0.
 template <class S>
-MlpCall<S> mlp_call(Size shape, Address x, Strides strides, Addresses weights, Addresses biases, Numbers cap,
-                    Address limit) {
+MlpCall<S> mlp_call(Size shape, Tables x, Addresses weights, Addresses biases, Numbers cap, Address limit) {
   MlpCall<S> call{};
   call.shape = mlp_shape(shape);
   call.blocks = int(shape[4]), call.tensor_cores = shape[5] != 0;
-  call.points = mlp_points(shape, cap, false, 0);
-  call.x = at<const S>(x), call.x_row = strides[0], call.x_column = strides[1];
+  call.points = mlp_points(shape, cap, shape[6] != 0, 0);
+  call.x = mlp_tables<const S>(x);
   call.limit = at<const int64_t>(limit);
   call.net = mlp_parameters<const S>(weights, biases);
   call.cap = S(call.points.cap), call.largest = std::exp(call.cap);
@@ -66,21 +65,21 @@ MlpCall<S> mlp_call(Size shape, Address x, Strides strides, Addresses weights, A
 }
 
 template <class S, class Queue> void bind_mlp(nb::module_& m, const std::string& type) {
-  m.def(("mlp_" + type).c_str(), [](Address stream, Size shape, Address x, Strides strides, Addresses weights,
-                                    Addresses biases, Numbers cap, Address limit, Address out) {
+  m.def(("mlp_" + type).c_str(), [](Address stream, Size shape, Tables x, Addresses weights, Addresses biases,
+                                    Numbers cap, Address limit, Address out) {
     nb::gil_scoped_release release;
-    MlpCall<S> call = mlp_call<S>(shape, x, strides, weights, biases, cap, limit);
+    MlpCall<S> call = mlp_call<S>(shape, x, weights, biases, cap, limit);
     call.out = at<S>(out);
     mlp(Queue{at<void>(stream)}, call);
   });
-  // data: out, v_out, v_x (or 0), hidden, parts.
-  m.def(("mlp_bwd_" + type).c_str(), [](Address stream, Size shape, Address x, Strides strides, Addresses weights,
-                                        Addresses biases, Numbers cap, Address limit, Addresses data, Addresses v_weights,
+  // data: out, v_out, hidden (0 with bfloat16 products), parts; v_x: as x, or none.
+  m.def(("mlp_bwd_" + type).c_str(), [](Address stream, Size shape, Tables x, Addresses weights, Addresses biases,
+                                        Numbers cap, Address limit, Addresses data, Tables v_x, Addresses v_weights,
                                         Addresses v_biases) {
     nb::gil_scoped_release release;
-    MlpCall<S> call = mlp_call<S>(shape, x, strides, weights, biases, cap, limit);
-    call.out = at<S>(data[0]), call.v_out = at<const S>(data[1]), call.v_x = at<S>(data[2]);
-    call.hidden = at<S>(data[3]), call.parts = at<S>(data[4]);
+    MlpCall<S> call = mlp_call<S>(shape, x, weights, biases, cap, limit);
+    call.out = at<S>(data[0]), call.v_out = at<const S>(data[1]), call.v_x = mlp_tables<S>(v_x);
+    call.hidden = at<S>(data[2]), call.parts = at<S>(data[3]);
     call.v_net = mlp_parameters<S>(v_weights, v_biases);
     mlp_bwd(Queue{at<void>(stream)}, call);
   });

@@ -49,7 +49,7 @@ class Fibers {
   }
 
  private:
-  static constexpr size_t kBrought = 64;
+  static constexpr size_t kBrought = 128;
   struct Gate {
     int come = 0;
     unsigned turn = 0;
@@ -116,6 +116,60 @@ struct EmulatedThread {
         const S left = all[row % 8 * 4 + k % 4].a[(row >= 8 ? 1 : 0) + (k >= 4 ? 2 : 0)];
         c[i] += left * all[column * 4 + k % 4].b[k / 4];
       }
+    }
+  }
+  static uint16_t half(float x) {  // to the nearest, ties to even
+    uint32_t bits;
+    std::memcpy(&bits, &x, 4);
+    if ((bits & 0x7fffffffu) > 0x7f800000u) return uint16_t(bits >> 16 | 0x40u);
+    return uint16_t((bits + 0x7fffu + (bits >> 16 & 1u)) >> 16);
+  }
+  static double half(double x) { return x; }
+  static float whole(uint16_t x) {
+    const uint32_t bits = uint32_t(x) << 16;
+    float out;
+    std::memcpy(&out, &bits, 4);
+    return out;
+  }
+  static double whole(double x) { return x; }
+  static uint32_t pair(float a, float b) { return uint32_t(half(a)) | uint32_t(half(b)) << 16; }
+  static Halved<double>::Pair pair(double a, double b) { return {{a, b}}; }
+  static float first(uint32_t p) { return whole(uint16_t(p)); }
+  static float second(uint32_t p) { return whole(uint16_t(p >> 16)); }
+  static double first(const Halved<double>::Pair& p) { return p.v[0]; }
+  static double second(const Halved<double>::Pair& p) { return p.v[1]; }
+  template <class P> static P where_positive(const P& h, const P& p) {
+    return pair(first(h) > 0 ? first(p) : 0 * first(h), second(h) > 0 ? second(p) : 0 * second(h));
+  }
+  static void put_pair(uint16_t* at, uint32_t p) {
+    if (reinterpret_cast<uintptr_t>(at) % 4) std::abort();
+    at[0] = uint16_t(p), at[1] = uint16_t(p >> 16);
+  }
+  static void put_pair(double* at, const Halved<double>::Pair& p) { at[0] = p.v[0], at[1] = p.v[1]; }
+  // By the table in PTX ISA, mma.m16n8k16 for .bf16.
+  template <class S, class P> void mma_half(S* c, const P* a, const P* b) {
+    struct Brought {
+      P a[4], b[2];
+    };
+    const Brought* all = fibers->gather(thread_, Brought{{a[0], a[1], a[2], a[3]}, {b[0], b[1]}});
+    for (int i = 0; i < 4; ++i) {
+      const int row = lane() / 4 + (i >= 2 ? 8 : 0), column = 2 * (lane() % 4) + (i & 1);
+      for (int k = 0; k < 16; ++k) {
+        const P& left = all[row % 8 * 4 + k % 8 / 2].a[(row >= 8 ? 1 : 0) + (k >= 8 ? 2 : 0)];
+        const P& right = all[column * 4 + k % 8 / 2].b[k / 8];
+        c[i] += (k % 2 ? second(left) : first(left)) * (k % 2 ? second(right) : first(right));
+      }
+    }
+  }
+  // PTX ISA, ldmatrix.m8n8.x4.
+  template <bool Turned, class P, class One> void load_pairs(P* r, const One* row) {
+    if (reinterpret_cast<uintptr_t>(row) % 16) std::abort();
+    const One* const* all = fibers->gather(thread_, row);
+    const int group = lane() / 4, quarter = lane() % 4;
+    for (int m = 0; m < 4; ++m) {
+      const One* const* rows = all + 8 * m;
+      r[m] = Turned ? pair(whole(rows[2 * quarter][group]), whole(rows[2 * quarter + 1][group]))
+                    : pair(whole(rows[group][2 * quarter]), whole(rows[group][2 * quarter + 1]));
     }
   }
   void add_bits(int64_t* p, int64_t v) { *p = int64_t(uint64_t(*p) + uint64_t(v)); }

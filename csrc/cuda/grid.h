@@ -6,6 +6,11 @@
 // Thread: block(), thread(), lane(), warp(); sync() of the block, sync_warp(); shuffle(v, lane) and
 // shuffle_xor(v, mask), ballot(p), any(p) of the warp; add_bits(p, v) and raise_bits(p, v), atomic on integers,
 // so that no result depends on an order. Every lane of a warp must reach every exchange.
+//
+// bfloat16: half(v) rounds, whole(one) is the number again; pair(a, b) is two in a register, first(p) and second(p) are
+// its numbers, where_positive(h, p) is p with 0 where h is not positive; put_pair(at, p) stores one. mma_half(c, a, b) is
+// a product of a warp's pairs; load_pairs<Turned>(r, row) gives a lane its pairs of four 8 x 8 matrices in shared memory,
+// of which lane i names row i % 8 of matrix i / 8 (turned: of their transposes).
 #pragma once
 #include <cstdint>
 #include <cstdlib>
@@ -14,8 +19,10 @@
 
 #if defined(__CUDACC__)
 #define REFDGS_KERNEL __device__ inline
+#define REFDGS_UNROLL _Pragma("unroll")
 #else
 #define REFDGS_KERNEL inline
+#define REFDGS_UNROLL
 #endif
 
 namespace refdgs::cuda {
@@ -23,6 +30,18 @@ namespace refdgs::cuda {
 constexpr int kWarp = 32;
 
 struct Nothing {};  // a kernel that shares nothing
+
+// What a number is as bfloat16. A double stays as it is: it proves who has what.
+template <class S> struct Halved {
+  using One = uint16_t;
+  using Pair = uint32_t;
+};
+template <> struct Halved<double> {
+  using One = double;
+  struct Pair {
+    double v[2];
+  };
+};
 
 inline int64_t blocks_for(int64_t items, int each) { return (items + each - 1) / each; }
 

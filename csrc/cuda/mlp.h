@@ -13,20 +13,29 @@ constexpr int kMlpSide = kMlpPoints + 4;  // scalars between rows in shared memo
 template <class S> struct MlpCall {
   MlpShape shape;
   MlpPoints points;
-  const S* x;            // element (i, c) at i * x_row + c * x_column
-  int64_t x_row, x_column;
+  MlpTables<const S> x;  // side by side
   const int64_t* limit;  // [1] only the first that many points are looked at; null: all
   MlpParameters<const S> net;
   S cap, largest;  // of the exponential, and exp(cap)
   int blocks;      // that share the tiles; backward has a part of `hidden` and `parts` for each
-  bool tensor_cores;  // for the hidden layers' products
+  bool tensor_cores;  // for the hidden layers' products; of bfloat16 numbers if points.half (mlp_half.h)
   S* out;          // [points][outputs]
   const S* v_out;  // [points][outputs]
-  S* v_x;          // [points][inputs], may be null
+  MlpTables<S> v_x;  // none: not wanted
   S* hidden;       // [blocks][hidden layers][kHidden][kMlpPoints] scratch of backward
   S* parts;        // [blocks][numbers()] of the gradients of weights and biases, layer by layer
   MlpParameters<S> v_net;
 
+  REFDGS_HD S x_at(int64_t point, int c) const {
+    int k = 0;
+    for (; c >= x.of[k].width; ++k) c -= x.of[k].width;
+    return x.of[k].data[point * x.of[k].row + c * x.of[k].column];
+  }
+  REFDGS_HD void set_v_x(int64_t point, int c, S value) const {
+    int k = 0;
+    for (; c >= v_x.of[k].width; ++k) c -= v_x.of[k].width;
+    v_x.of[k].data[point * v_x.of[k].row + c * v_x.of[k].column] = value;
+  }
   REFDGS_HD int64_t count() const { return limit && *limit < points.count ? *limit : points.count; }
   REFDGS_HD int inputs(int l) const { return l ? kHidden : shape.inputs; }
   REFDGS_HD int outputs(int l) const { return l < shape.hidden_layers ? kHidden : shape.outputs; }

@@ -37,7 +37,7 @@ template <class S> struct MlpTile {
     for (int i = t.thread(); i < padded(f.shape.inputs) * kMlpPoints; i += kMlpThreads) {
       const int c = i / kMlpPoints, p = i % kMlpPoints;
       const bool there = p < points && c < f.shape.inputs;
-      to[c * kMlpSide + p] = there ? f.x[(begin + p) * f.x_row + c * f.x_column] : S(0);
+      to[c * kMlpSide + p] = there ? f.x_at(begin + p, c) : S(0);
     }
   }
 
@@ -120,7 +120,7 @@ template <class S, template <class> class Product> struct MlpBackward {
         t.sync();
         add_weights(t, l, s, part + f.start(l));
         t.sync();
-        if (l || f.v_x) inputs_vjp(t, tile, l, s, hidden);
+        if (l || f.v_x.count) inputs_vjp(t, tile, l, s, hidden);
       }
     }
   }
@@ -173,7 +173,7 @@ template <class S, template <class> class Product> struct MlpBackward {
       if (l)
         s.a[n * kMlpSide + m] = hidden[(int64_t(l - 1) * kHidden + n) * kMlpPoints + m] > 0 ? value : S(0);
       else if (m < tile.points && n < f.shape.inputs)
-        f.v_x[(tile.begin + m) * f.shape.inputs + n] = value;
+        f.set_v_x(tile.begin + m, n, value);
     });
     t.sync();
   }

@@ -110,8 +110,8 @@ class StartExperimentParams(Params):
     )
     bfloat16: bool = Field(
         True,
-        description="multiply bfloat16 numbers in the shader's network where the CPU can: faster, "
-        "equal in quality; results differ slightly from those of other CPUs",
+        description="multiply bfloat16 numbers in the shader's network, on a GPU and where the CPU "
+        "can: faster, equal in quality; results differ slightly from those of other CPUs",
     )
 
 
