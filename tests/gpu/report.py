@@ -1,6 +1,6 @@
-"""One JSON and one Markdown report of what run_all.sh left in a folder.
+"""One JSON and one Markdown report of what the steps of run_all.sh left in a folder.
 
-python tests/gpu/report.py FOLDER
+python tests/gpu/report.py FOLDER OUT
 """
 
 import json
@@ -8,8 +8,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
-STEPS = ("build", "doctor", "parity", "memcheck", "racecheck", "timing", "graph", "training")
-OPTIONAL = ("memcheck", "racecheck")  # a machine may not let a checker near its GPU
+CHECKS = ("memcheck", "racecheck", "initcheck", "synccheck", "replay")
+STEPS = ("build", "doctor", "headline", "parity", "timing", "graph", *CHECKS, "training")
+OPTIONAL = CHECKS  # a machine may not let a checker near its GPU
 
 IMPOSSIBLE, OUT_OF_TIME = "not possible on this machine", "out of time"
 
@@ -24,7 +25,7 @@ def read(folder: Path) -> dict[str, Any]:
             continue
         code, seconds = status.read_text().split()
         found: dict[str, Any] = {"exit code": int(code), "seconds": int(seconds)}
-        log = folder / f"{step}.log"
+        log = folder / f"{step}.said"
         text = log.read_text(errors="replace") if log.exists() else ""
         found["status"] = "ok" if code == "0" else OUT_OF_TIME if code == "124" else "failed"
         refused = "SUMMARY" not in text or "Device not supported" in text
@@ -84,6 +85,19 @@ def _timing(record: dict[str, Any]) -> list[str]:
     return lines
 
 
+def _headline(record: dict[str, Any]) -> list[str]:
+    plain = {k: v for k, v in record.items() if k != "replay"}
+    lines = _facts(plain)
+    replay = record.get("replay")
+    if replay:
+        lines += ["", f"A replayed step: {replay['launches a step']:.0f} launches, "]
+        lines[-1] += f"{replay['ms busy a step']:.2f} ms."
+        lines += ["", "| kernel | launches | us a step |", "|---|---:|---:|"]
+        for row in replay["kernels"]:
+            lines.append(f"| {row['kernel']} | {row['calls']:.0f} | {row['us a step']:.1f} |")
+    return lines
+
+
 def _facts(record: dict[str, Any]) -> list[str]:
     return [f"* {name}: {value}" for name, value in record.items()]
 
@@ -98,7 +112,8 @@ def markdown(found: dict[str, Any]) -> str:
         record = result.get("record")
         lines += ["", f"## {step}", ""]
         if record is not None:
-            describe = {"parity": _parity, "timing": _timing}.get(step, _facts)
+            own = {"parity": _parity, "timing": _timing, "headline": _headline}
+            describe = own.get(step, _facts)
             lines += describe(record)
         if record is None or result["status"] != "ok":
             lines += ["```", result.get("last words", "").strip()[-1200:], "```"]
@@ -106,7 +121,7 @@ def markdown(found: dict[str, Any]) -> str:
 
 
 def main() -> int:
-    folder = Path(sys.argv[1])
+    folder, out = Path(sys.argv[1]), Path(sys.argv[2])
     found = read(folder)
     bad = [
         s
@@ -114,8 +129,8 @@ def main() -> int:
         if r["status"] in ("failed", "not run")
         or (r["status"] == OUT_OF_TIME and s not in OPTIONAL)
     ]
-    (folder / "report.json").write_text(json.dumps({"ok": not bad, "steps": found}, indent=1))
-    (folder / "report.md").write_text(markdown(found))
+    (out / "report.json").write_text(json.dumps({"ok": not bad, "steps": found}, indent=1))
+    (out / "report.md").write_text(markdown(found))
     print(markdown(found))
     print("ok" if not bad else f"NOT ok: {', '.join(bad)}")
     return 1 if bad else 0

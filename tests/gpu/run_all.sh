@@ -1,14 +1,18 @@
 #!/bin/bash
-# Build for this machine's GPU and prove it: parity, determinism, memory checks, timings, a training. No network.
+# Build for this machine's GPU and prove it: the headline figure, parity, memory checks, a training. No network.
 #
 #   tests/gpu/run_all.sh [-w WHEELS] [-s SCENE] [-o OUT] [-d cuda|emulated]
 #
-# WHEELS: a folder of wheels of small packages that are missing here (pydantic, pydantic-core, annotated-types,
-# typing-inspection; scipy, pillow, safetensors where they are missing too). A wheel of refdgs-pipe itself in it is used
-# where the build fails. SCENE: a NeRF-synthetic folder; without one a procedural ball is trained. OUT: gets report.md,
-# report.json and the logs [build/gpu-report]; the report is renewed after every step.
+# OUT [build/gpu-report] gets report.md and report.json, which are renewed after every step, and six logs; everything
+# else goes to a folder of its own that is removed at the end. At most five minutes: a step that runs longer is ended,
+# and the next one begins. What takes most of the time comes last.
+#
+# WHEELS: a folder of wheels of small packages that are missing or too old here (pydantic, pydantic-core,
+# annotated-types, typing-inspection, typing-extensions; scipy, pillow, safetensors). If it holds a file
+# _refdgs_native*.so or a wheel of refdgs-pipe that can be imported here, nothing is built.
+# SCENE: a NeRF-synthetic folder; without one a procedural ball is trained.
 # -d emulated: a dry run on the CPU and tiny: the build, parity of the emulated kernels, a training by the CPU's.
-# Needs Python 3.11+ with its headers, torch, numpy, nanobind, pytest; cmake, nvcc 12.4+. At most 9 minutes.
+# Needs Python 3.11+ with its headers, torch, numpy, nanobind, pytest; cmake, nvcc 12.4+.
 set -u
 root=$(cd "$(dirname "$0")/../.." && pwd)
 wheels="" scene="" out="$root/build/gpu-report" device=cuda
@@ -21,74 +25,93 @@ while getopts "w:s:o:d:" flag; do
     *) exit 64 ;;
     esac
 done
-mkdir -p "$out" && out=$(cd "$out" && pwd) && rm -f "$out"/*.status "$out"/*.json "$out"/*.log || exit 73
-total=${SECONDS_TOTAL:-525} # of nine minutes, some are left for the report
+mkdir -p "$out" && out=$(cd "$out" && pwd) && rm -f "$out"/*.log "$out"/report.* || exit 73
+work=$(mktemp -d) || exit 73
+trap 'rm -rf "$work"' EXIT
+total=${SECONDS_TOTAL:-290} most=${SECONDS_A_STEP:-1000}
 started=$SECONDS
 
-python=$("${PYTHON:-python3}" -c 'import sys; print(sys.executable)') || exit 69
+python=$(command -v "${PYTHON:-python3}") || exit 69
 for folder in "${CUDA_HOME:-/usr/local/cuda}/bin" "$(dirname "$python")"; do
-    [ -d "$folder" ] && PATH="$folder:$PATH"
+    [ -d "$folder" ] && PATH="$PATH:$folder"
 done
-export PATH PYTHONUNBUFFERED=1
+export PATH PYTHONUNBUFFERED=1 root out work python device
 
 left() { echo $((total - (SECONDS - started))); }
 
-# step NAME LIMIT COMMAND...: run it, keep its log, exit code and seconds; go on whatever happens.
+# step NAME LOG LIMIT COMMAND...: run it, keep its output in LOG, its exit code and seconds; go on whatever happens.
 step() {
-    local name=$1 limit=$2 begin=$SECONDS
-    shift 2
+    local name=$1 log="$out/$2.log" limit=$3 begin=$SECONDS
+    shift 3
     [ "$(left)" -lt "$limit" ] && limit=$(left)
-    if [ "$limit" -lt 5 ]; then
+    [ "$most" -lt "$limit" ] && limit=$most
+    if [ "$limit" -lt 1 ]; then
         echo "$name: no time is left"
         return 1
     fi
-    echo "== $name (at most $limit s)"
-    timeout -k 10 "$limit" "$@" >"$out/$name.log" 2>&1
+    echo "== $name (at most $limit s)" | tee -a "$log"
+    timeout -k 5 "$limit" "$@" >"$work/$name.said" 2>&1
     local code=$?
     [ "$code" = 137 ] && code=124
-    echo "$code $((SECONDS - begin))" >"$out/$name.status"
-    tail -n 3 "$out/$name.log"
-    "$python" "$root/tests/gpu/report.py" "$out" >"$out/report.log" 2>&1
+    cat "$work/$name.said" >>"$log"
+    echo "$code $((SECONDS - begin))" >"$work/$name.status"
+    tail -n 3 "$work/$name.said" | cut -c1-300
+    "$python" "$root/tests/gpu/report.py" "$work" "$out" >/dev/null 2>>"$log"
     return $code
 }
 
-# What is missing here is unpacked beside the report; the native module goes to a place of its own.
+# What is missing here is unpacked; a native module that comes along is used if it can be.
 if [ -n "$wheels" ]; then
-    "$python" - "$wheels" "$out/site" "$out/prebuilt" <<'PYTHON' 2>&1 | tee "$out/wheels.log"
-import importlib.util, pathlib, sys, zipfile
-wheels, site, prebuilt = map(pathlib.Path, sys.argv[1:])
-modules = {"pillow": "PIL", "opencv_python_headless": "cv2"}
+    "$python" - "$wheels" "$work/site" "$work/built" <<'PYTHON'
+import importlib.metadata, pathlib, shutil, sys, zipfile
+wheels, site, built = map(pathlib.Path, sys.argv[1:])
+built.mkdir()
+
+
+def numbers(version: str) -> list[int]:
+    return [int(part) for part in version.split(".") if part.isdigit()]
+
+
+def has(name: str, version: str) -> bool:
+    try:
+        return numbers(importlib.metadata.version(name.replace("_", "-"))) >= numbers(version)
+    except importlib.metadata.PackageNotFoundError:
+        return False
+
+
+for module in wheels.glob("_refdgs_native*.so"):
+    shutil.copy(module, built)
 for wheel in sorted(wheels.glob("*.whl")):
-    name = wheel.name.split("-")[0].lower()
+    name, version = wheel.name.split("-")[:2]
     with zipfile.ZipFile(wheel) as archive:
         if name == "refdgs_pipe":
-            archive.extractall(prebuilt, [n for n in archive.namelist() if n.startswith("_refdgs_native")])
-        elif importlib.util.find_spec(modules.get(name, name)) is None:
+            archive.extractall(built, [n for n in archive.namelist() if n.startswith("_refdgs_native")])
+        elif not has(name, version):
             archive.extractall(site)
             print("unpacked", wheel.name)
 PYTHON
-    export PYTHONPATH="$out/site${PYTHONPATH:+:$PYTHONPATH}"
+    export PYTHONPATH="$work/site${PYTHONPATH:+:$PYTHONPATH}"
 fi
 
 emulator=OFF
 [ "$device" = emulated ] && emulator=ON
 build() {
+    if [ "$device" = cuda ] && PYTHONPATH="$work/built${PYTHONPATH:+:$PYTHONPATH}" \
+        "$python" -c 'import _refdgs_native as n; print("as it came, for", n.cuda_archs); exit(not n.cuda_archs)'; then
+        return 0
+    fi
     local arch=${REFDGS_CUDA_ARCHS:-} generator=()
     if [ -z "$arch" ] && [ "$device" = emulated ]; then arch=90-real; fi
     if [ -z "$arch" ]; then
         arch=$("$python" -c 'import torch; print("%d%d-real" % torch.cuda.get_device_capability())') || return 1
     fi
     command -v ninja >/dev/null && generator=(-G Ninja)
-    "$python" -c 'import os, sysconfig; h = os.path.join(sysconfig.get_path("include"), "Python.h"); print(h, os.path.exists(h))'
-    cmake -S "$root/csrc" -B "$out/cmake" "${generator[@]}" -DCMAKE_BUILD_TYPE=Release -DREFDGS_CUDA=ON \
+    cmake -S "$root/csrc" -B "$work/built" "${generator[@]}" -DCMAKE_BUILD_TYPE=Release -DREFDGS_CUDA=ON \
         -DREFDGS_CUDA_ARCHS="$arch" -DREFDGS_EMULATOR=$emulator -DPython_EXECUTABLE="$python" \
         -Dnanobind_DIR="$("$python" -m nanobind --cmake_dir)" &&
-        cmake --build "$out/cmake" -j "$(nproc)" &&
-        PYTHONPATH="$out/cmake" "$python" -c 'import _refdgs_native as n; print("built for", n.cuda_archs)'
+        cmake --build "$work/built" -j "$(nproc)" &&
+        PYTHONPATH="$work/built" "$python" -c 'import _refdgs_native as n; print("built for", n.cuda_archs)'
 }
-export -f build
-export root out python device emulator
-
 doctor() {
     "$python" - <<'PYTHON'
 import json, os, sys
@@ -97,44 +120,45 @@ import _refdgs_native as native
 from refdgs_pipe.cli.device import cuda_problem
 problem = cuda_problem()
 record = {"ok": problem is None, "problem": problem, "torch": torch.__version__, "torch CUDA": torch.version.cuda,
-          "GPU": native.cuda_device(), "built for": native.cuda_archs, "module": native.__file__,
-          "python": sys.version.split()[0], "cores": os.cpu_count()}
-json.dump(record, open(os.path.join(os.environ["out"], "doctor.json"), "w"))
+          "GPU": native.cuda_device(), "built for": native.cuda_archs, "python": sys.version.split()[0],
+          "cores": os.cpu_count()}
+json.dump(record, open(os.path.join(os.environ["work"], "doctor.json"), "w"))
 print(record)
 sys.exit(problem is not None and os.environ["device"] == "cuda")
 PYTHON
 }
-export -f doctor
-
+# checker TOOL NAME SCRIPT...: one of compute-sanitizer's tools over our kernels.
 checker() {
-    local only=()
+    local tool=$1 name=$2 only=()
+    shift 2
     compute-sanitizer --help 2>&1 | grep -q -- --kernel-regex && only=(--kernel-regex kns=refdgs)
-    compute-sanitizer --tool "$1" "${only[@]}" --error-exitcode 9 \
-        "$python" "$root/tests/gpu/parity.py" --small --once --out "$out/$1-parity.json"
+    compute-sanitizer --tool "$tool" "${only[@]}" --error-exitcode 9 "$python" "$@" --out "$work/$name-of.json"
 }
-export -f checker
+export emulator
+export -f build doctor checker
 
-small=() tiny=()
+small=() tiny=() few=()
 if [ "$device" = emulated ]; then
     small=(--small)
     tiny=(--device cpu --side 48 --iterations 6 --surfels 500)
+    few=(--device cpu --side 48 --surfels 300 --local 100 --steps 2 --warm 1)
 fi
-step build "${BUILD_SECONDS:-200}" bash -c build
-# what was built comes before anything that is installed, and the wheel's module after it
-built="$out/cmake"
-[ "$(cut -d' ' -f1 "$out/build.status")" = 0 ] || built="$out/prebuilt"
-export PYTHONPATH="$built:$root${PYTHONPATH:+:$PYTHONPATH}"
-step doctor 120 bash -c doctor
-step parity 150 "$python" "$root/tests/gpu/parity.py" --device "$device" "${small[@]}" --out "$out/parity.json"
-step timing 90 "$python" "$root/tests/gpu/timing.py" --device "$device" "${small[@]}" --out "$out/timing.json"
+at="$root/tests/gpu"
+step build build "${BUILD_SECONDS:-150}" bash -c build
+export PYTHONPATH="$work/built:$root${PYTHONPATH:+:$PYTHONPATH}"
+step doctor build 40 bash -c doctor
+step headline headline 60 "$python" "$at/headline.py" "${few[@]}" --out "$work/headline.json"
+step parity parity 70 "$python" "$at/parity.py" --device "$device" "${small[@]}" --out "$work/parity.json"
+step timing timing 40 "$python" "$at/timing.py" --device "$device" "${small[@]}" --out "$work/timing.json"
 graph=auto # where recorded steps fail, which can take the GPU's context along, the training goes without
-step graph 75 "$python" "$root/tests/gpu/graph.py" "${tiny[@]}" --out "$out/graph.json" || graph=off
-# the checkers come last and have a minute each; the training has what is left of the rest
-room=$(($(left) - 130))
-step training $((room > 30 ? room : 30)) "$python" "$root/tests/gpu/training.py" ${scene:+--scene "$scene"} \
-    --seconds $((room > 90 ? room - 80 : 20)) --graph $graph "${tiny[@]}" --out "$out/training.json"
+step graph timing 40 "$python" "$at/graph.py" "${tiny[@]}" --out "$work/graph.json" || graph=off
 if [ "$device" = cuda ] && command -v compute-sanitizer >/dev/null; then
-    step memcheck 65 bash -c 'checker memcheck'
-    step racecheck 60 bash -c 'checker racecheck'
+    for tool in memcheck racecheck initcheck synccheck; do
+        step $tool checks 25 bash -c "checker $tool $tool '$at/parity.py' --small --once"
+    done
+    step replay checks 30 bash -c "checker memcheck replay '$at/graph.py' --side 64 --iterations 12 --surfels 300"
 fi
-"$python" "$root/tests/gpu/report.py" "$out"
+room=$(left)
+step training training $((room > 15 ? room : 15)) "$python" "$at/training.py" ${scene:+--scene "$scene"} \
+    --seconds $((room > 60 ? room - 40 : 20)) --graph $graph "${tiny[@]}" --out "$work/training.json"
+"$python" "$at/report.py" "$work" "$out"

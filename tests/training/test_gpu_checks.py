@@ -94,13 +94,79 @@ def test_parity_and_timing_run_dry(tmp_path: Path) -> None:
     record = json.loads((tmp_path / "parity.json").read_text())
     assert record["ok"] and len(record["rows"]) > 150
     done = subprocess.run(
-        [sys.executable, str(CHECKS / "report.py"), str(tmp_path)],
+        [sys.executable, str(CHECKS / "report.py"), str(tmp_path), str(tmp_path)],
         capture_output=True,
         text=True,
         check=False,
     )
-    assert done.returncode == 1 and "NOT ok: build, doctor, graph, training" in done.stdout
+    assert (
+        done.returncode == 1 and "NOT ok: build, doctor, headline, graph, training" in done.stdout
+    )
     assert "| edge-on | 12 |" in (tmp_path / "report.md").read_text()
+
+
+# What stands in for a GPU machine: every step writes its record at once, but one, which hangs.
+PYTHON = f"""#!/bin/bash
+case "$1" in
+*/report.py) exec {sys.executable} "$@" ;;
+*/tests/gpu/*.py)
+    name=$(basename "$1" .py)
+    [ "$name" = "$STUCK" ] && sleep 60
+    while [ "$1" != --out ]; do shift; done
+    echo "{{\\"is\\": \\"$name\\"}}" >"$2" ;;
+-) [ "$STUCK" = doctor ] && sleep 60
+    echo '{{"ok": true}}' >"$work/doctor.json" ;;
+-c) [[ "$2" = *"as it came"* ]] && exit 1 ;;
+esac
+exit 0
+"""
+CMAKE = """#!/bin/bash
+[ "$STUCK" = build ] && sleep 60
+exit 0
+"""
+SANITIZER = """#!/bin/bash
+[ "$1" = --help ] && exit 0
+[ "$STUCK" = "$2" ] && sleep 60
+echo "ERROR SUMMARY: 0 errors"
+"""
+CHECKERS = ["memcheck", "racecheck", "initcheck", "synccheck", "replay"]
+STEPS = ["build", "doctor", "headline", "parity", "timing", "graph", *CHECKERS[:4], "training"]
+DEFAULT = ["headline", "training"]
+
+
+@pytest.mark.parametrize(
+    "stuck", [s if s in DEFAULT else pytest.param(s, marks=pytest.mark.slow) for s in STEPS]
+)
+def test_a_step_that_hangs_takes_no_other_step_s_record_along(tmp_path: Path, stuck: str) -> None:
+    tools = tmp_path / "tools"
+    tools.mkdir()
+    for name, text in (("python", PYTHON), ("cmake", CMAKE), ("compute-sanitizer", SANITIZER)):
+        (tools / name).write_text(text)
+        (tools / name).chmod(0o755)
+    environment = {
+        **os.environ,
+        "PATH": f"{tools}{os.pathsep}{os.environ['PATH']}",
+        "PYTHON": str(tools / "python"),
+        "STUCK": stuck,
+        "SECONDS_A_STEP": "1",
+        "TMPDIR": str(tmp_path),
+    }
+    out = tmp_path / "out"
+    done = subprocess.run(
+        ["bash", str(CHECKS / "run_all.sh"), "-o", str(out)],
+        env=environment, capture_output=True, text=True, check=False, timeout=60,
+    )  # fmt: skip
+    steps = json.loads((out / "report.json").read_text())["steps"]
+    status = {name: step["status"] for name, step in steps.items()}
+    ended = {stuck, "replay"} if stuck == "memcheck" else {stuck}  # the same tool
+    assert {name for name, word in status.items() if word == "out of time"} == ended, done.stdout
+    assert [n for n, word in status.items() if word != "ok" and n not in ended] == []
+    for name in ("headline", "parity", "timing", "graph", "training"):
+        assert (steps[name].get("record") == {"is": name}) == (name != stuck)
+    assert done.returncode == (stuck not in CHECKERS)
+    files = sorted(path.name for path in out.iterdir())
+    assert len(files) == 8 and {"report.md", "report.json"} < set(files)
+    assert not [path for path in tmp_path.iterdir() if path not in (tools, out)]
 
 
 def test_the_script_is_sound() -> None:
