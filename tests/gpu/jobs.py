@@ -97,6 +97,11 @@ def fused(*, small: bool) -> dict[str, Run]:
         layers = range(len(widths) - 1)
         return {"out": ops.mlp(p["x"], [p[f"w{l}"] for l in layers], [p[f"b{l}"] for l in layers])}
 
+    def rough(p: Named) -> Named:
+        layers = range(len(widths) - 1)
+        net = [p[f"w{l}"] for l in layers], [p[f"b{l}"] for l in layers]
+        return {"out": ops.mlp(p["x"], *net, half=True)}
+
     encoding = {
         "map": random(map_height, 2 * map_height, 4) - 0.5,
         "directions": random(points, 3) - 0.5,
@@ -136,6 +141,7 @@ def fused(*, small: bool) -> dict[str, Run]:
     sizes = [(29, 37)] if small else [(1, 1), (5, 70), (217, 333), (800, 800)]
     out = {
         "network": _plain(net, mlp),
+        "network, bfloat16": _plain(net, rough),
         "network by multiply-adds": _without_tensor_cores(_plain(net, mlp)),
         "Sph-Mip": _plain(encoding, sph_mip),
         "Adam": adam,

@@ -140,6 +140,10 @@ def fused(clock: Clock, side: int) -> list[dict[str, Any]]:
             lambda: ops.mlp(x, weights, biases), 52.0 * points, 18_304.0 * points,
             120.0 * points, 73_000.0 * points,
         ),
+        "network, bfloat16": (
+            lambda: ops.mlp(x, weights, biases, half=True), 52.0 * points, 18_304.0 * points,
+            120.0 * points, 73_000.0 * points,
+        ),
         "Sph-Mip": (
             lambda: ops.sph_mip(base, directions, roughness), 44.0 * points + 24 * texels,
             200.0 * points, 300.0 * points + 80 * texels, 400.0 * points,
