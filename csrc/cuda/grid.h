@@ -20,9 +20,11 @@
 #if defined(__CUDACC__)
 #define REFDGS_KERNEL __device__ inline
 #define REFDGS_UNROLL _Pragma("unroll")
+#define REFDGS_UNROLL_4 _Pragma("unroll 4")
 #else
 #define REFDGS_KERNEL inline
 #define REFDGS_UNROLL
+#define REFDGS_UNROLL_4
 #endif
 
 namespace refdgs::cuda {

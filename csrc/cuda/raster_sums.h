@@ -79,7 +79,7 @@ template <class S> struct SurfelVjp {
   }
 };
 
-// out[c] = the sum of column c of parts [rows][columns], added in double and in one fixed order.
+// out[c] = the sum of column c of parts [rows][columns], added in double and in one fixed order: stripes of rows, then pairs of stripes.
 template <class S> struct SumRows {
   static constexpr int kThreads = 256;
   struct Shared {
@@ -93,13 +93,17 @@ template <class S> struct SumRows {
   template <class Thread> REFDGS_KERNEL void operator()(Thread& t, Shared& s) const {
     const int c = t.thread() % columns, stripe = t.thread() / columns, stripes = kThreads / columns;
     double sum = 0;
-    if (stripe < stripes)
+    if (stripe < stripes) {
+      REFDGS_UNROLL_4
       for (int64_t row = stripe; row < rows; row += stripes) sum += double(parts[row * columns + c]);
+    }
     s.sums[t.thread()] = sum;
     t.sync();
-    if (t.thread() >= columns) return;
-    for (int k = 1; k < stripes; ++k) sum += s.sums[k * columns + c];
-    out[c] = S(sum);
+    for (int step = kThreads / 2; step > 0; step /= 2) {  // stripes in pairs
+      if (stripe < step && stripe + step < stripes) s.sums[t.thread()] += s.sums[t.thread() + step * columns];
+      t.sync();
+    }
+    if (t.thread() < columns) out[c] = S(s.sums[c]);
   }
 };
 

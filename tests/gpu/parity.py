@@ -29,8 +29,8 @@ from jobs import Run, drawing, fused  # noqa: E402
 LIMIT = 1e-4  # relative error by norm
 # Single rows (pixels, surfels) are beyond float32: a pixel at a cut-off falls on either side, a
 # disc seen edge-on has a determinant of rounding. These are left out before the norm is taken, and
-# where the CPU's float32 is still above the limit, it is the measure. All rows together have a limit
-# too, so that what is left out is single rows and not a tile.
+# where the CPU's float32 is still above the limit, it is the measure. All rows together have a
+# limit too, so that what is left out is single rows and not a tile.
 OUTLIERS = 0.003
 WHOLE = 3e-3  # relative error of all rows
 ROUGH = {"network, bfloat16": 0.1}  # limits of cases that round on purpose
