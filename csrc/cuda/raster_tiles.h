@@ -52,6 +52,7 @@ REFDGS_KERNEL void bring_records(Thread& t, const Drawing<S>& d, int surfel, int
 
 template <class S, int C, int X> struct DrawTiles {
   static constexpr int kThreads = 128, kWarps = kThreads / kWarp, kUsed = kDrawnHead + C;
+  static constexpr int kResident = (C <= 4 ? 10 : C <= 8 ? 9 : C <= 12 ? 7 : 5);
   struct Shared {
     alignas(4 * sizeof(S)) S records[kWarps][kWarp][kUsed];
   };
@@ -69,6 +70,9 @@ template <class S, int C, int X> struct DrawTiles {
       const int n = least_of(list.end - e, kWarp);
       bring_records<kUsed, kWarp>(t, d, t.lane() < n ? d.entries[e + t.lane()].surfel : 0, n, records);
       int k = 0;
+#if defined(__CUDACC__)
+#pragma unroll 1
+#endif
       do {
         S r[kDrawnHead];
         copy_quads<kDrawnHead>(r, records[k]);
@@ -189,7 +193,6 @@ template <class S, int C, int X> struct DrawTilesBwd {
     alignas(4 * sizeof(S)) S weights[kBucket * kPadded][4];  // w, px, py, q; then partial sums
     Two rhos[kBucket * kPadded];
     S depths[X >= 1 ? kBucket * kPadded : 1];
-    int which[kBucket], slot[kBucket];  // record and slot
   };
   static_assert(kWarp * kPitch <= kBucket * kPadded, "partial sums where weights were");
   struct Shared {
@@ -208,45 +211,57 @@ template <class S, int C, int X> struct DrawTilesBwd {
       const int place = t.lane() / kPatchW * kRow + t.lane() % kPatchW;
       Replayed<S, C, X> pixel(d, v.maps, patch.x, patch.y, patch.inside);
       for (int c = 0; c < C; c += 4) put_quad(s.g[c / 4][place], pixel.g + c);
+#if defined(__CUDACC__)
+#pragma unroll 1
+#endif
       for (int e = list.begin; e < stop; e += kChunk) {
         const int n = least_of(stop - e, kChunk);
         const Entry entry = t.lane() < n ? d.entries[e + t.lane()] : Entry{0, 0};
         bring_records<kUsed, kChunk>(t, d, entry.surfel, n, s.records);
         uint32_t touched = 0;
-        int held = 0;
-        for (int k = 0; k < n; ++k) {
-          Passed<S> passed;
-          if (t.any(pixel.blend(s.records[k], x, y, d.cam.near, passed))) {
-            touched |= 1u << k;
-            const int at = held * kPadded + place;
-            const S first[4] = {passed.w, passed.px, passed.py, passed.q};
-            put_quad(s.weights[at], first);
+#if defined(__CUDACC__)
+#pragma unroll 1
+#endif
+        for (int first = 0; first < n; first += kBucket) {
+          uint32_t held = 0;
+#if defined(__CUDACC__)
+#pragma unroll 1
+#endif
+          for (int k = 0; k < least_of(n - first, kBucket); ++k) {
+            Passed<S> passed;
+            if (!t.any(pixel.blend(s.records[first + k], x, y, d.cam.near, passed))) continue;
+            held |= 1u << k;
+            const int at = k * kPadded + place;
+            const S weights[4] = {passed.w, passed.px, passed.py, passed.q};
+            put_quad(s.weights[at], weights);
             s.rhos[at] = {passed.on_disc, passed.low_pass};
             if (X >= 1) s.depths[at] = passed.z;
-            if (t.lane() == k) s.which[held] = k, s.slot[held] = entry.slot;
-            ++held;
           }
-          if (held == kBucket || (held && k + 1 == n)) {
-            t.sync_warp();
-            if (v.absolute) add_up<true>(t, s, held, S(patch.left) + S(0.5), S(patch.top) + S(0.5));
-            else add_up<false>(t, s, held, S(patch.left) + S(0.5), S(patch.top) + S(0.5));
-            t.sync_warp();
-            held = 0;
-          }
+          if (!held) continue;
+          t.sync_warp();
+          if (v.absolute) add_up<true>(t, s, first, held, entry.slot, S(patch.left) + S(0.5), S(patch.top) + S(0.5));
+          else add_up<false>(t, s, first, held, entry.slot, S(patch.left) + S(0.5), S(patch.top) + S(0.5));
+          t.sync_warp();
+          touched |= held << first;
+          for (int c = 0; c < C; c += 4) copy_quads<4>(pixel.g + c, s.g[c / 4][place]);  // no registers meanwhile
         }
         if (t.lane() < n) v.activity[entry.slot] = touched >> t.lane() & 1;
       }
     }
+#if defined(__CUDACC__)
+#pragma unroll 1
+#endif
     for (int e = most_of(stop, list.begin) + t.lane(); e < list.end; e += kWarp) v.activity[d.entries[e].slot] = 0;
   }
 
-  // Writes the slots of `held` surfels. (x, y): the patch's first pixel centre.
+  // Writes the slots of those of a bucket's surfels whose bits are set in `held`. The bucket is the chunk's from `first`
+  // on, a lane has the slot of an entry of the chunk; (x, y): the patch's first pixel centre.
   template <bool absolute, class Thread>
-  REFDGS_KERNEL void add_up(Thread& t, Warp& s, int held, S x, S y) const {
+  REFDGS_KERNEL void add_up(Thread& t, Warp& s, int first, uint32_t held, int slot, S x, S y) const {
     constexpr int share = kWarp / kBucket;  // lanes of a surfel
     static_assert(share == kPatchH, "a row a lane");
     const int mine = t.lane() / share, row = t.lane() % share;
-    const S* record = s.records[mine < held ? s.which[mine] : 0];
+    const S* record = s.records[first + mine];
     S r[kDrawnHead];
     copy_quads<4>(r, record);
     if (absolute) copy_quads<4>(r + 4, record + 4);
@@ -254,7 +269,7 @@ template <class S, int C, int X> struct DrawTilesBwd {
     S px = 0, py = 0, q = 0, low = 0, low_x = 0, rho = 0, gx = 0, gy = 0;
     S G[kWidth] = {};
 #if defined(__CUDACC__)
-#pragma unroll 2
+#pragma unroll (absolute ? 1 : 2)
 #endif
     for (int k = 0; k < kPatchW; ++k) {
       const int place = row * kRow + k, at = mine * kPadded + place;
@@ -287,8 +302,10 @@ template <class S, int C, int X> struct DrawTilesBwd {
     t.sync_warp();  // weights have been read
     for (int c = 0; c < kQuads; ++c) put_quad(s.weights[t.lane() * kPitch + c], G + 4 * c);
     t.sync_warp();
-    for (int i = t.lane(); i < held * kSlotQuads; i += kWarp) {
-      const int k = i / kSlotQuads, c = i % kSlotQuads;
+    for (int base = 0; base < kBucket * kSlotQuads; base += kWarp) {
+      const int k = (base + t.lane()) / kSlotQuads, c = (base + t.lane()) % kSlotQuads;
+      const int64_t to = t.shuffle(slot, (first + k) % kWarp);
+      if (!(k < kBucket && held >> k & 1)) continue;
       S sum[4] = {};
       if (c < kQuads)
         for (int part = 0; part < share; ++part) {
@@ -296,7 +313,7 @@ template <class S, int C, int X> struct DrawTilesBwd {
           copy_quads<4>(g, s.weights[(k * share + part) * kPitch + c]);
           for (int j = 0; j < 4; ++j) sum[j] += g[j];
         }
-      put_quad(v.slots + int64_t(s.slot[k]) * (4 * kSlotQuads) + 4 * c, sum);
+      put_quad(v.slots + to * (4 * kSlotQuads) + 4 * c, sum);
     }
   }
 };
