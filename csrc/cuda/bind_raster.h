@@ -35,14 +35,14 @@ template <class S, class Queue> void bind_raster(nanobind::module_& m, const std
   using Addresses = const std::vector<Address>&;
   using Numbers = const std::vector<double>&;
   using Images = const std::vector<std::pair<Address, std::vector<int64_t>>>&;
-  // Bytes by surfel and by entry, which are kept, and scratch of project and of draw.
+  // Bytes by surfel and by entry, which are kept, and scratch of project and of draw; scalars of a slot.
   m.def(("raster_sizes_" + type).c_str(), [](Address stream, Shape shape) {
     const Queue q{at<void>(stream)};
     RasterSizes sizes{};
-    drawing<S>({stream, shape, std::vector<Address>(5), std::vector<double>(17), 0, 0, 0}, &sizes);
-    sizes.scan = int64_t(q.scan_bytes(shape[0] + 1));
-    sizes.sort = sort_scratch(q, shape[6]);
-    return std::vector<int64_t>{sizes.by_surfel, sizes.by_entry, sizes.scan, sizes.sort};
+    const auto d = drawing<S>({stream, shape, std::vector<Address>(5), std::vector<double>(17), 0, 0, 0}, &sizes);
+    sizes.scan = int64_t(q.scan_bytes(shape[0] + 1 + d.patches()));
+    sizes.sort = sort_scratch(shape[6]);
+    return std::vector<int64_t>{sizes.by_surfel, sizes.by_entry, sizes.scan, sizes.sort, sizes.slot};
   });
   // The first shape[0] + 1 numbers of by_surfel become the sums of entries. lens: see lens.h, or 0.
   m.def(("raster_project_" + type).c_str(), [](Address stream, Shape shape, Addresses in, Numbers camera, Address lens,
@@ -61,15 +61,17 @@ template <class S, class Queue> void bind_raster(nanobind::module_& m, const std
     d.needed = at<int64_t>(plan[0]), d.misfit = at<float>(plan[1]);
     bin_and_draw(Queue{at<void>(stream)}, d, at<void>(scratch));
   });
-  // working: slots, activity, sums, pose parts (or 0); out: the seven of SurfelGrads.
+  // working: slots, activity, sums, pose parts (or 0); out: the seven of SurfelGrads, the second of whose screen's
+  // gradients is 0 unless absolute.
   m.def(("raster_backward_" + type).c_str(), [](Address stream, Shape shape, Addresses in, Numbers camera, Address lens,
                                                 Address by_surfel, Address by_entry, Address maps, Address moments,
-                                                Images v_maps, Addresses working, Addresses out) {
+                                                Images v_maps, Addresses working, Addresses out, bool absolute) {
     nb::gil_scoped_release release;
     Drawing<S> d = drawing<S>({stream, shape, in, camera, lens, by_surfel, by_entry});
     d.maps = at<S>(maps), d.moments = at<S>(moments);
     DrawingGrads<S> g{};
     for (int k = 0; k < kPlaneKinds; ++k) g.maps[k] = image<S>(v_maps[size_t(k)]);
+    g.absolute = absolute;
     g.slots = at<S>(working[0]), g.activity = at<uint8_t>(working[1]);
     g.sums = at<S>(working[2]), g.pose_parts = at<S>(working[3]);
     g.out = {at<S>(out[0]), at<S>(out[1]), at<S>(out[2]), at<S>(out[3]),

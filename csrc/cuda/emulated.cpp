@@ -95,17 +95,4 @@ void EmulatedQueue::scan(int64_t* values, int64_t count, void*, size_t) const {
   std::exclusive_scan(values, values + count, values, int64_t(0));
 }
 
-SortedPairs EmulatedQueue::sort(SortedPairs pairs, SortedPairs spare, int64_t count, int bits, void*, size_t) const {
-  const uint64_t mask = bits < 64 ? (uint64_t(1) << bits) - 1 : ~uint64_t(0);
-  std::vector<int64_t> at(static_cast<size_t>(count));
-  std::iota(at.begin(), at.end(), 0);
-  std::stable_sort(at.begin(), at.end(),
-                   [&](int64_t a, int64_t b) { return (pairs.keys[a] & mask) < (pairs.keys[b] & mask); });
-  for (int64_t i = 0; i < count; ++i) {
-    spare.keys[i] = pairs.keys[at[size_t(i)]];
-    spare.values[i] = pairs.values[at[size_t(i)]];
-  }
-  return spare;
-}
-
 }  // namespace refdgs::cuda

@@ -173,6 +173,11 @@ struct EmulatedThread {
     }
   }
   void add_bits(int64_t* p, int64_t v) { *p = int64_t(uint64_t(*p) + uint64_t(v)); }
+  int64_t fetch_add(int64_t* p, int64_t v) {
+    const int64_t before = *p;
+    add_bits(p, v);
+    return before;
+  }
   void raise_bits(uint32_t* p, uint32_t v) { *p = *p < v ? v : *p; }
 };
 

@@ -13,6 +13,5 @@ namespace refdgs::cuda {
   REFDGS_TILES(S, EmulatedQueue, 20)
 REFDGS_EMULATED(float)
 REFDGS_EMULATED(double)
-template int64_t sort_scratch<EmulatedQueue>(const EmulatedQueue&, int64_t);
 
 }  // namespace refdgs::cuda

@@ -87,6 +87,9 @@ struct DeviceThread {
   __device__ void add_bits(int64_t* p, int64_t v) {
     atomicAdd(reinterpret_cast<unsigned long long*>(p), static_cast<unsigned long long>(v));
   }
+  __device__ int64_t fetch_add(int64_t* p, int64_t v) {
+    return int64_t(atomicAdd(reinterpret_cast<unsigned long long*>(p), static_cast<unsigned long long>(v)));
+  }
   __device__ void raise_bits(uint32_t* p, uint32_t v) { atomicMax(p, v); }
 };
 

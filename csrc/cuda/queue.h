@@ -5,21 +5,13 @@
 
 namespace refdgs::cuda {
 
-struct SortedPairs {
-  uint64_t* keys;
-  int32_t* values;
-};
-
-// `run` launches a kernel of grid.h. `scan`: exclusive sums in place. `sort`: stable, by the keys' lowest bits;
-// both buffers are used, the result says which holds the sorted pairs. Scratch as large as *_bytes says.
+// `run` launches a kernel of grid.h. `scan`: exclusive sums in place, with scratch as large as scan_bytes says.
 struct DeviceQueue {
   void* stream;
   template <class K> void run(int64_t blocks, const K& kernel) const;
   void zero(void* at, size_t bytes) const;
   size_t scan_bytes(int64_t count) const;
   void scan(int64_t* values, int64_t count, void* scratch, size_t bytes) const;
-  size_t sort_bytes(int64_t count) const;
-  SortedPairs sort(SortedPairs pairs, SortedPairs spare, int64_t count, int bits, void* scratch, size_t bytes) const;
 };
 
 // The same, on the CPU. order: threads of a block take turns first to last, last to first, or (2 and up) at
@@ -30,8 +22,6 @@ struct EmulatedQueue {
   void zero(void* at, size_t bytes) const;
   size_t scan_bytes(int64_t) const { return 8; }
   void scan(int64_t* values, int64_t count, void* scratch, size_t bytes) const;
-  size_t sort_bytes(int64_t) const { return 8; }
-  SortedPairs sort(SortedPairs pairs, SortedPairs spare, int64_t count, int bits, void* scratch, size_t bytes) const;
 };
 
 }  // namespace refdgs::cuda

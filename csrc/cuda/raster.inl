@@ -26,74 +26,55 @@ class Carver {
 };
 
 struct SortMemory {
-  SortedPairs pairs, spare;
+  uint64_t* keys;
   int32_t* owners;
-  char* scratch;
   int64_t used;
-  SortMemory(void* at, int64_t count, int64_t scratch_bytes) {
+  SortMemory(void* at, int64_t count) {
     Carver memory(at);
-    pairs = {memory.take<uint64_t>(count), memory.take<int32_t>(count)};
-    spare = {memory.take<uint64_t>(count), memory.take<int32_t>(count)};
+    keys = memory.take<uint64_t>(count);
     owners = memory.take<int32_t>(count);
-    scratch = memory.take<char>(scratch_bytes);
     used = memory.used();
   }
 };
 
-int bits_of(int tiles) {
-  int bits = 0;
-  while (tiles >> bits) ++bits;
-  return bits;
-}
-
 }  // namespace
+
+int64_t sort_scratch(int64_t count) { return SortMemory(nullptr, count).used; }
 
 template <class S> Drawing<S> lay_out(const Surfels<S>& surfels, const Pinhole<S>& cam, Extra extra, bool normals,
                                       int64_t count, void* by_surfel, void* by_entry, RasterSizes* sizes) {
   if (count > INT32_MAX || surfels.count > INT32_MAX)
-    throw std::runtime_error("surfels cover tiles " + std::to_string(count) + " times; at most 2^31 is possible");
+    throw std::runtime_error("surfels cover patches " + std::to_string(count) + " times; at most 2^31 is possible");
   Drawing<S> d{};
   d.surfels = surfels, d.cam = cam, d.extra = extra, d.normals = normals, d.count = count;
   d.padded = Raster<S>::padded(surfels.channels, normals);
-  d.stride = (kRecordHead + d.padded + 7) / 8 * 8;
+  d.stride = sectors(kDrawnHead + d.padded);
   d.tiles_x = (cam.width + kTile - 1) / kTile;
   d.tiles_y = (cam.height + kTile - 1) / kTile;
   Carver a(by_surfel), b(by_entry);
-  d.slot_start = a.take<int64_t>(surfels.count + 1);
+  d.slot_start = a.take<int64_t>(surfels.count + 1 + d.patches());
+  d.list_end = d.slot_start + surfels.count + 1;
   d.records = a.take<S>(surfels.count * d.stride);
+  d.shapes = a.take<S>(surfels.count * kShape);
   d.boxes = a.take<Box>(surfels.count);
-  d.depths = a.take<uint32_t>(surfels.count);
   d.entries = b.take<Entry>(count);
-  d.tile_start = b.take<int32_t>(d.tiles() + 1);
-  d.patch_stop = b.take<int32_t>(int64_t(d.tiles()) * kPatches);
-  if (sizes) sizes->by_surfel = a.used(), sizes->by_entry = b.used();
+  d.patch_stop = b.take<int32_t>(d.patches());
+  if (sizes) sizes->by_surfel = a.used(), sizes->by_entry = b.used(), sizes->slot = d.slot_width();
   return d;
 }
 
 template <class S, class Queue>
 void project(const Queue& q, const Drawing<S>& d, S* radii, void* scratch, int64_t bytes) {
   const int64_t n = d.surfels.count;
+  q.zero(d.slot_start + n, size_t(1 + d.patches()) * sizeof(int64_t));
   q.run(blocks_for(n, Project<S>::kThreads), Project<S>{d, radii});
-  q.run(blocks_for(n + 1, CountTiles<S>::kThreads), CountTiles<S>{d});
-  q.scan(d.slot_start, n + 1, scratch, size_t(bytes));
-}
-
-template <class Queue> int64_t sort_scratch(const Queue& q, int64_t count) {
-  return SortMemory(nullptr, count, int64_t(q.sort_bytes(count))).used;
+  q.scan(d.slot_start, n + 1 + d.patches(), scratch, size_t(bytes));
 }
 
 template <class S, class Queue> void bin_and_draw(const Queue& q, const Drawing<S>& d, void* scratch) {
-  const size_t bytes = d.count ? q.sort_bytes(d.count) : 0;
-  const SortMemory m(scratch, d.count, int64_t(bytes));
-  if (d.count) {
-    q.run(blocks_for(d.surfels.count, EmitEntries<S>::kThreads),
-          EmitEntries<S>{d, m.pairs.keys, m.pairs.values, m.owners});
-    if (d.needed) q.run(blocks_for(d.count, PadEntries<S>::kThreads), PadEntries<S>{d, m.pairs.keys});
-    const auto sorted = q.sort(m.pairs, m.spare, d.count, 32 + bits_of(d.tiles()), m.scratch, bytes);
-    q.run(blocks_for(d.count, FindTiles<S>::kThreads), FindTiles<S>{d, sorted.keys, sorted.values, m.owners});
-  } else {
-    q.zero(d.tile_start, size_t(d.tiles() + 1) * sizeof(int32_t));
-  }
+  const SortMemory m(scratch, d.count);
+  q.run(blocks_for(d.surfels.count + 1, EmitEntries<S>::kThreads), EmitEntries<S>{d, m.keys, m.owners});
+  if (d.count) q.run(d.patches() / SortLists<S>::kWarps, SortLists<S>{d, m.keys, m.owners});
   switch (d.padded) {
     case 4: return draw_tiles<S, Queue, 4>(q, d);
     case 8: return draw_tiles<S, Queue, 8>(q, d);

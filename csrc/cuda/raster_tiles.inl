@@ -5,18 +5,18 @@ namespace refdgs::cuda {
 
 template <class S, class Queue, int C> void draw_tiles(const Queue& q, const Drawing<S>& d) {
   switch (d.extra) {
-    case Extra::none: return q.run(d.tiles(), DrawTiles<S, C, 0>{d});
-    case Extra::depth: return q.run(d.tiles(), DrawTiles<S, C, 1>{d});
-    default: return q.run(d.tiles(), DrawTiles<S, C, 2>{d});
+    case Extra::none: return q.run(d.patches() / DrawTiles<S, C, 0>::kWarps, DrawTiles<S, C, 0>{d});
+    case Extra::depth: return q.run(d.patches() / DrawTiles<S, C, 1>::kWarps, DrawTiles<S, C, 1>{d});
+    default: return q.run(d.patches() / DrawTiles<S, C, 2>::kWarps, DrawTiles<S, C, 2>{d});
   }
 }
 
 template <class S, class Queue, int C>
 void draw_tiles_bwd(const Queue& q, const Drawing<S>& d, const DrawingGrads<S>& g) {
   switch (d.extra) {
-    case Extra::none: return q.run(d.tiles(), DrawTilesBwd<S, C, 0>{d, g});
-    case Extra::depth: return q.run(d.tiles(), DrawTilesBwd<S, C, 1>{d, g});
-    default: return q.run(d.tiles(), DrawTilesBwd<S, C, 2>{d, g});
+    case Extra::none: return q.run(d.patches() / DrawTilesBwd<S, C, 0>::kWarps, DrawTilesBwd<S, C, 0>{d, g});
+    case Extra::depth: return q.run(d.patches() / DrawTilesBwd<S, C, 1>::kWarps, DrawTilesBwd<S, C, 1>{d, g});
+    default: return q.run(d.patches() / DrawTilesBwd<S, C, 2>::kWarps, DrawTilesBwd<S, C, 2>{d, g});
   }
 }
 

@@ -5,18 +5,25 @@
 
 namespace refdgs {
 
-// As fast as the device has them, to a few units in the last place.
+// As fast as the device has them, to a few units in the last place. Arguments and results are normal numbers, or
+// count as 0.
 template <class S> REFDGS_HD S exp_of(S x) {
 #if defined(__CUDA_ARCH__)
-  if constexpr (sizeof(S) == sizeof(float)) return __expf(x);
-  else
+  if constexpr (sizeof(S) == sizeof(float)) {
+    float y;
+    asm("ex2.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x * 1.4426950408889634f));
+    return y;
+  } else
 #endif
     return std::exp(x);
 }
 template <class S> REFDGS_HD S inverse_of(S x) {
 #if defined(__CUDA_ARCH__)
-  if constexpr (sizeof(S) == sizeof(float)) return __fdividef(1.0f, x);
-  else
+  if constexpr (sizeof(S) == sizeof(float)) {
+    float y;
+    asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
+    return y;
+  } else
 #endif
     return S(1) / x;
 }
@@ -45,40 +52,40 @@ template <class S> REFDGS_HD PixelHit<S> pixel_hit(const S* r, S x, S y, S near)
   return h;
 }
 
-// Adds to G[0..8] (and G[10], G[11]) what a pixel passes to the record through rho and z.
-template <class S> REFDGS_HD void hit_vjp(const PixelHit<S>& h, const S* r, S g_rho, S g_z, S* G) {
-  const S on_disc = h.on_disc ? g_rho : S(0), low_pass = S(2 * kLowPass) * (g_rho - on_disc), scaled = 2 * on_disc * h.iq;
-  const S gpx = h.u * scaled, gpy = h.v * scaled, gz_disc = h.has_hit ? g_z * h.iq : S(0);
-  G[8] += h.has_hit ? gz_disc : g_z;
-  const S gq = -(h.u * gpx + h.v * gpy) - gz_disc * h.z;
-  const S gdx = gpx * r[2] + gpy * r[4] + gq * r[6] + h.dx * low_pass;
-  const S gdy = gpx * r[3] + gpy * r[5] + gq * r[7] + h.dy * low_pass;
-  G[0] -= gdx;
-  G[1] -= gdy;
-  G[2] += gpx * h.dx;
-  G[3] += gpx * h.dy;
-  G[4] += gpy * h.dx;
-  G[5] += gpy * h.dy;
-  G[6] += gq * h.dx;
-  G[7] += gq * h.dy;
-  G[10] += std::fabs(gdx);
-  G[11] += std::fabs(gdy);
-}
+// What a pixel passes on to one surfel: its weight, and the gradients by (u, v) of the plane before the division by q,
+// by q, by the squared radius on the disc and of the low-pass filter, and by the depth where the ray meets the disc.
+// The gradients by the record are sums of these, and of their products with dx and dy.
+template <class S> struct Passed {
+  S w = 0, px = 0, py = 0, q = 0, on_disc = 0, low_pass = 0, z = 0;
+
+  REFDGS_HD void take(const PixelHit<S>& h, S g_rho, S g_z) {
+    on_disc = h.on_disc ? g_rho : S(0), low_pass = g_rho - on_disc;
+    const S scaled = 2 * on_disc * h.iq;
+    px = h.u * scaled, py = h.v * scaled;
+    z = h.has_hit ? g_z * h.iq : g_z;
+    q = -(h.u * px + h.v * py) - (h.has_hit ? z * h.z : S(0));
+  }
+};
 
 template <class S> REFDGS_HD S nearest_in(S lo, S hi, S to) { return least_of(most_of(to, lo), hi); }
+
+// What says which pixels a surfel reaches, and its depth: the contour and more of its record.
+template <class S> struct Shape {
+  S contour[7], cut, x, y, z, none;
+};
 
 // Whether the surfel's contour or its low-pass circle reaches pixel centres from (x, y) to (x + wide, y + high);
 // now and then true for nothing. The least of a convex quadratic over a rectangle lies at its own middle or on
 // a side that faces it. Products and sums are joined by hand: a compiler that joins them as it likes could answer
 // otherwise in the kernel that counts than in the one that fills what was counted.
-template <class S> REFDGS_HD bool reaches(const S* r, S x, S y, S wide, S high) {
-  const S* k = r + kContour;
+template <class S> REFDGS_HD bool reaches(const Shape<S>& s, S x, S y, S wide, S high) {
+  const S* k = s.contour;
   const S x0 = x - k[0], y0 = y - k[1], x1 = x0 + wide, y1 = y0 + high;
   const S xa = nearest_in(x0, x1, S(0)), ya = nearest_in(y0, y1, k[5] * xa);
   const S yb = nearest_in(y0, y1, S(0)), xb = nearest_in(x0, x1, k[6] * yb);
   const auto at = [&](S px, S py) { return std::fma(px, std::fma(k[2], px, k[3] * py), k[4] * py * py); };
-  const S cx = nearest_in(x - r[0], x - r[0] + wide, S(0)), cy = nearest_in(y - r[1], y - r[1] + high, S(0));
-  return least_of(at(xa, ya), at(xb, yb)) < S(1.02) || std::fma(cx, cx, cy * cy) < S(1.002 / kLowPass) * r[10];
+  const S cx = nearest_in(x - s.x, x - s.x + wide, S(0)), cy = nearest_in(y - s.y, y - s.y + high, S(0));
+  return least_of(at(xa, ya), at(xb, yb)) < S(1.02) || std::fma(cx, cx, cy * cy) < S(1.002 / kLowPass) * s.cut;
 }
 
 }  // namespace refdgs

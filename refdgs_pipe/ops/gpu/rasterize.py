@@ -18,7 +18,6 @@ from refdgs_pipe.ops.scene import (
     planes_of,
 )
 
-GRAD_HEAD = 12  # of a slot, before its channels
 MOST_ENTRIES = 2**31 - 1
 POSE_BLOCK = 128  # surfels whose pose gradients are added first
 
@@ -34,7 +33,7 @@ def rasterize(
     threads: int,
     plan: Plan | None,
 ) -> Maps:
-    """`ops.rasterize`; inputs are checked there. All pixels and statistics are made."""
+    """`ops.rasterize`; inputs are checked there. All pixels are drawn."""
     n = len(features)
     statistics = ScreenStatistics(features.new_zeros(n), features.new_zeros(n, 2))
     parts = Rasterize.apply(  # type: ignore[no-untyped-call]
@@ -47,6 +46,7 @@ def rasterize(
         camera,
         extra,
         normals,
+        absolute,
         plan,
         statistics,
     )
@@ -54,14 +54,14 @@ def rasterize(
 
 
 def _entries(by_surfel: Tensor, n: int) -> int:
-    """How many entries the tiles' lists have. A drawing without a plan waits for it."""
+    """How many entries the patches' lists have. A drawing without a plan waits for it."""
     return int(by_surfel[8 * n : 8 * n + 8].view(torch.int64))
 
 
 class Rasterize(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, *args: Any) -> tuple[Tensor, ...]:
-        *tensors, camera, extra, normals, plan, statistics = args
+        *tensors, camera, extra, normals, absolute, plan, statistics = args
         inputs = [t.detach().contiguous() for t in tensors[:5]]
         like = inputs[0]
         n, channels = inputs[4].shape
@@ -101,7 +101,8 @@ class Rasterize(torch.autograd.Function):
         ctx.save_for_backward(planes, moments, by_surfel, by_entry, *inputs)
         ctx.set_materialize_grads(False)
         ctx.shape, ctx.posed, ctx.lens = shape, posed, camera.lens
-        ctx.pose, ctx.statistics = tensors[5], statistics
+        ctx.pose, ctx.statistics, ctx.absolute = tensors[5], statistics, absolute
+        ctx.slot_width = sizes[4]
         none = planes[:0]
         parts = [planes[:channels], planes[padded], planes[channels : channels + 3 * normals]]
         parts += [planes[padded + i] if padded + i < count else none for i in (1, 2, 3)]
@@ -110,8 +111,7 @@ class Rasterize(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *grads: Tensor | None) -> tuple[Tensor | None, ...]:
         planes, moments, by_surfel, by_entry, *inputs = ctx.saved_tensors
-        n, channels, *_, normals, entries = ctx.shape
-        width = GRAD_HEAD + (channels + 3 * normals + 3) // 4 * 4
+        n, entries, width = ctx.shape[0], ctx.shape[-1], ctx.slot_width
         out = [torch.empty_like(t) for t in inputs]
         v_pose = planes.new_zeros(3, 4)
         working = [
@@ -129,9 +129,10 @@ class Rasterize(torch.autograd.Function):
             [addresses.image(v) for v in grads],
             addresses.each((*working, parts if wanted else None)),
             addresses.each((*out, v_pose, ctx.statistics.gradients)),
+            ctx.absolute,
         )
         pose = None
         if wanted:
             pose = torch.zeros_like(ctx.pose)
             pose[:3] = v_pose.to(ctx.pose)
-        return (*out, pose, *[None] * 5)
+        return (*out, pose, *[None] * 6)
