@@ -142,6 +142,13 @@ template <class S, class Queue> void bind_shade(nb::module_& m, const std::strin
                                   at<S>(grads[2])},
                      at<const S>(lens), at<S>(grads[3]), at<S>(sums[0]), at<S>(sums[1]));
   });
+  // images: normal, features, depth, alpha, object alpha; numbers: shaded, scales right and down; sums: parts, sum.
+  m.def(("normal_smoothness_" + type).c_str(), [](Address stream, Size size, Images images, Numbers numbers,
+                                                  Address v_normal, Addresses sums) {
+    nb::gil_scoped_release release;
+    normal_smoothness(Queue{at<void>(stream)}, smoothness_of<S>(size, images, numbers, v_normal), at<S>(sums[0]),
+                      at<S>(sums[1]));
+  });
 }
 
 template <class S, class Queue> void bind_photo(nb::module_& m, const std::string& type) {

@@ -89,13 +89,15 @@ void Fibers::start(void (*body)(void*, int), void* argument) {
   }
 }
 
-void EmulatedQueue::zero(void* at, size_t bytes) const { std::memset(at, 0, bytes); }
+void EmulatedQueue::zero(void* at, size_t bytes) const { if (bytes) ++launches, std::memset(at, 0, bytes); }
 
 void EmulatedQueue::scan(int64_t* values, int64_t count, void*, size_t) const {
+  ++launches;
   std::exclusive_scan(values, values + count, values, int64_t(0));
 }
 
 SortedPairs EmulatedQueue::sort(SortedPairs pairs, SortedPairs spare, int64_t count, int bits, void*, size_t) const {
+  ++launches;
   const uint64_t mask = bits < 64 ? (uint64_t(1) << bits) - 1 : ~uint64_t(0);
   std::vector<int64_t> at(static_cast<size_t>(count));
   std::iota(at.begin(), at.end(), 0);

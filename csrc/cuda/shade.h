@@ -9,6 +9,8 @@ constexpr int kAgreementThreads = 256;  // pixels of a block, whose sums come to
 
 constexpr int kCoveredThreads = 256;    // pixels of a block that are counted together
 
+constexpr int kSmoothWide = 32, kSmoothHigh = 8;  // pixels of a block's tile, whose sums come to one part
+
 // The pixels where alpha is above `least`, in ascending order, then -1. What follows does nothing for those.
 template <class S> struct CoveredCall {
   int width, height;
@@ -41,5 +43,8 @@ void composite_bwd(const Queue& q, const Composite<S>& in, const S* backdrop, Im
 // slopes: [6][H][W] scratch, null with the gradients; parts: one for each kAgreementThreads pixels; sum: [1].
 template <class S, class Queue>
 void normal_agreement(const Queue& q, const Agreement<S>& in, const S* lens, S* slopes, S* parts, S* sum);
+// parts: one for each tile of kSmoothWide x kSmoothHigh pixels; sum: [1].
+template <class S, class Queue>
+void normal_smoothness(const Queue& q, const Smoothness<S>& in, S* parts, S* sum);
 
 }  // namespace refdgs::cuda

@@ -1,5 +1,6 @@
 // The steps of shade.h on any queue; included by one file for each.
 #include "shade_kernels.h"
+#include "smooth_kernels.h"
 
 namespace refdgs::cuda {
 
@@ -46,6 +47,13 @@ void normal_agreement(const Queue& q, const Agreement<S>& in, const S* lens, S* 
   if (slopes) q.run(blocks_for(plane, AgreeNormalsBwd<S>::kThreads), AgreeNormalsBwd<S>{in, lens, slopes});
 }
 
+template <class S, class Queue>
+void normal_smoothness(const Queue& q, const Smoothness<S>& in, S* parts, S* sum) {
+  const int64_t blocks = blocks_for(in.width, kSmoothWide) * blocks_for(in.height, kSmoothHigh);
+  q.run(blocks, SmoothNormals<S>{in, parts});
+  q.run(1, SumRows<S>{parts, blocks, 1, sum});
+}
+
 #define REFDGS_SHADE(S, Queue)                                                                               \
   template void covered_pixels<S, Queue>(const Queue&, const CoveredCall<S>&, void*, int64_t);               \
   template void shading_inputs<S, Queue>(const Queue&, const Covered<S>&, const S*, const Inputs<S>&);       \
@@ -53,6 +61,7 @@ void normal_agreement(const Queue& q, const Agreement<S>& in, const S* lens, S* 
                                              const Inputs<const S>&, const MapGrads<S>&);                    \
   template void composite<S, Queue>(const Queue&, const Composite<S>&, const S*, S*);                        \
   template void composite_bwd<S, Queue>(const Queue&, const Composite<S>&, const S*, Image<S>, S*, S*, S*);  \
-  template void normal_agreement<S, Queue>(const Queue&, const Agreement<S>&, const S*, S*, S*, S*);
+  template void normal_agreement<S, Queue>(const Queue&, const Agreement<S>&, const S*, S*, S*, S*);         \
+  template void normal_smoothness<S, Queue>(const Queue&, const Smoothness<S>&, S*, S*);
 
 }  // namespace refdgs::cuda

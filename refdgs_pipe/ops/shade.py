@@ -31,7 +31,7 @@ _NORMAL_SMOOTHNESS = Operation(
     "normal_smoothness",
     definition.normal_smoothness,
     on_cpu.NormalSmoothness,
-    definition.normal_smoothness,
+    on_gpu.NormalSmoothness,
 )
 
 

@@ -11,6 +11,7 @@ from refdgs_pipe.ops.plan import Plan
 from refdgs_pipe.ops.scene import Pinhole
 
 AGREEMENT_BLOCK = 256  # pixels whose part of the sum is one
+SMOOTH_WIDE, SMOOTH_HIGH = 32, 8  # the same of smoothness: a tile
 
 
 def covered_pixels(alpha: Tensor, least: float, plan: Plan | None) -> Tensor:
@@ -166,3 +167,36 @@ class NormalAgreement(torch.autograd.Function):
     def backward(ctx: Any, *v: Tensor) -> tuple[Tensor | None, ...]:
         v_normal, v_depth, v_alpha = (g * v[0] for g in ctx.grads)
         return v_normal.permute(1, 2, 0), v_depth[0], v_alpha[0], None, None
+
+
+class NormalSmoothness(torch.autograd.Function):
+    """The same with the gradient by the normal, the only one."""
+
+    @staticmethod
+    def forward(
+        ctx: Any,
+        normal: Tensor,
+        features: Tensor,
+        depth: Tensor,
+        alpha: Tensor,
+        object_alpha: Tensor,
+        shaded: float,
+        weight: float,
+        threads: int,
+    ) -> Tensor:
+        height, width = alpha.shape
+        ctx.gradient = alpha.new_empty(3, height, width) if ctx.needs_input_grad[0] else None
+        tiles = -(-height // SMOOTH_HIGH) * -(-width // SMOOTH_WIDE)
+        parts, loss = cuda.memory(tiles * alpha.itemsize, alpha), alpha.new_empty(())
+        cuda.kernels("normal_smoothness", alpha)(
+            [height, width],
+            [addresses.image(t) for t in (normal, features, depth, alpha, object_alpha)],
+            [shaded, weight / (height * (width - 1)), weight / ((height - 1) * width)],
+            addresses.of(ctx.gradient),
+            addresses.each((parts, loss)),
+        )
+        return loss
+
+    @staticmethod
+    def backward(ctx: Any, *v: Tensor) -> tuple[Tensor | None, ...]:
+        return (ctx.gradient * v[0]).permute(1, 2, 0), *[None] * 7
