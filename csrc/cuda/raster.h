@@ -52,8 +52,10 @@ struct RasterSizes {
 template <class S> Drawing<S> lay_out(const Surfels<S>& surfels, const Pinhole<S>& cam, Extra extra, bool normals,
                                       int64_t count, void* by_surfel, void* by_entry, RasterSizes* sizes);
 
+constexpr int kShares = 4;  // gradients of one map, which are added as they are read
+
 template <class S> struct DrawingGrads {
-  Image<S> maps[kPlaneKinds];  // of the loss by each map
+  Image<S> maps[kPlaneKinds][kShares];  // of the loss by each map
   S* slots;                    // [count][width]
   uint8_t* activity;           // [count] 0: the slot was not written
   S* sums;                     // [surfels][width]

@@ -1,5 +1,6 @@
 """Drawing surfels on a GPU."""
 
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -21,6 +22,7 @@ from refdgs_pipe.ops.scene import (
 GRAD_HEAD = 12  # of a slot, before its channels
 MOST_ENTRIES = 2**31 - 1
 POSE_BLOCK = 128  # surfels whose pose gradients are added first
+SHARES = 4  # gradients of one map that the kernels add as they read them
 
 
 def rasterize(
@@ -36,7 +38,7 @@ def rasterize(
 ) -> Maps:
     """`ops.rasterize`; inputs are checked there. All pixels and statistics are made."""
     n = len(features)
-    statistics = ScreenStatistics(features.new_zeros(n), features.new_zeros(n, 2))
+    statistics = ScreenStatistics(features.new_empty(n), features.new_empty(n, 2))
     parts = Rasterize.apply(  # type: ignore[no-untyped-call]
         surfels.means,
         surfels.quats,
@@ -50,7 +52,12 @@ def rasterize(
         plan,
         statistics,
     )
-    return maps_of(parts, statistics, extra, normals)
+    kinds = len(parts) // SHARES
+    shares = [
+        maps_of(parts[k : k + kinds], statistics, extra, normals)
+        for k in range(0, len(parts), kinds)
+    ]
+    return replace(shares[0], others=tuple(shares[1:]))
 
 
 def _entries(by_surfel: Tensor, n: int) -> int:
@@ -103,9 +110,12 @@ class Rasterize(torch.autograd.Function):
         ctx.shape, ctx.posed, ctx.lens = shape, posed, camera.lens
         ctx.pose, ctx.statistics = tensors[5], statistics
         none = planes[:0]
-        parts = [planes[:channels], planes[padded], planes[channels : channels + 3 * normals]]
-        parts += [planes[padded + i] if padded + i < count else none for i in (1, 2, 3)]
-        return tuple(p.permute(1, 2, 0) if p.ndim == 3 else p for p in parts)
+        out = []
+        for _ in range(SHARES):
+            parts = [planes[:channels], planes[padded], planes[channels : channels + 3 * normals]]
+            parts += [planes[padded + i] if padded + i < count else none for i in (1, 2, 3)]
+            out += [p.permute(1, 2, 0) if p.ndim == 3 else p for p in parts]
+        return tuple(out)
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor | None) -> tuple[Tensor | None, ...]:
@@ -113,7 +123,7 @@ class Rasterize(torch.autograd.Function):
         n, channels, *_, normals, entries = ctx.shape
         width = GRAD_HEAD + (channels + 3 * normals + 3) // 4 * 4
         out = [torch.empty_like(t) for t in inputs]
-        v_pose = planes.new_zeros(3, 4)
+        v_pose = planes.new_empty(3, 4) if n else planes.new_zeros(3, 4)
         working = [
             planes.new_empty(entries, width),
             cuda.memory(entries, planes),
