@@ -100,14 +100,10 @@ template <class S> void bind_shade(nb::module_& m, const std::string& type) {
 }
 
 template <class S> void bind_smoothness(nb::module_& m, const std::string& type) {
-  // images: normal, features, depth, alpha, the object's alpha; numbers: shaded, scales right and down.
   m.def(("normal_smoothness_" + type).c_str(),
         [](Size size, Images images, Numbers numbers, int threads, Address v_normal) {
           nb::gil_scoped_release release;
-          return normal_smoothness(Smoothness<S>{int(size[1]), int(size[0]), image<S>(images[0]), image<S>(images[1]),
-                                                 image<S>(images[2]), image<S>(images[3]), image<S>(images[4]),
-                                                 S(numbers[0]), S(numbers[1]), S(numbers[2]), at<S>(v_normal)},
-                                   threads);
+          return normal_smoothness(smoothness_of<S>(size, images, numbers, v_normal), threads);
         });
 }
 

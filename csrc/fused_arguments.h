@@ -75,6 +75,12 @@ Covered<S> covered(Size size, Numbers numbers, int64_t count, Address pixels, in
           image<S>(images[1]), image<S>(images[2]), image<S>(images[3])};
 }
 
+// images: normal, features, depth, alpha, the object's alpha; numbers: shaded, scales right and down.
+template <class S> Smoothness<S> smoothness_of(Size size, Images images, Numbers numbers, Address v_normal) {
+  return {int(size[1]), int(size[0]), image<S>(images[0]), image<S>(images[1]), image<S>(images[2]),
+          image<S>(images[3]), image<S>(images[4]), S(numbers[0]), S(numbers[1]), S(numbers[2]), at<S>(v_normal)};
+}
+
 // tables: diffuse, radiance; images: object alpha, alpha, behind (address 0: none). The backdrop is black.
 template <class S> Composite<S> composite_of(Size size, int64_t count, Address pixels, Tables tables, Images images) {
   return {int(size[1]), int(size[0]), count, at<const int64_t>(pixels), rows<const S>(tables[0]),

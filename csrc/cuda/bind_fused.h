@@ -15,14 +15,15 @@ namespace refdgs::cuda {
 
 namespace nb = nanobind;
 template <class S, class Queue> void bind_image_loss(nb::module_& m, const std::string& type) {
-  // images: image, target; constants: weight (or 0), each; outputs: slopes, gradient, map (each or 0), parts,
+  // images: image, target; constants: weight (or 0), each (or 0); shares: of L1,
+  // of SSIM, and each where it is 0; outputs: slopes, gradient, map (each or 0), parts,
   // sums, loss and error (both or 0).
   m.def(("image_loss_" + type).c_str(), [](Address stream, Size shape, Images images, Addresses constants,
                                            Numbers shares, Addresses outputs) {
     nb::gil_scoped_release release;
     LossCall<S> call{int(shape[1]), int(shape[0]), int(shape[2]), image<S>(images[0]), image<S>(images[1]),
-                     at<S>(constants[0]), at<S>(constants[1]), S(shares[0]), S(shares[1]), {}, at<S>(outputs[0]),
-                     at<S>(outputs[1]), at<S>(outputs[2]), at<S>(outputs[3]), at<S>(outputs[4]), at<S>(outputs[5]),
+                     at<S>(constants[0]), at<S>(constants[1]), S(shares[2]), S(shares[0]), S(shares[1]), {},
+                     at<S>(outputs[0]), at<S>(outputs[1]), at<S>(outputs[2]), at<S>(outputs[3]), at<S>(outputs[4]), at<S>(outputs[5]),
                      at<S>(outputs[6])};
     image_loss(Queue{at<void>(stream)}, call);
   });
@@ -140,6 +141,13 @@ template <class S, class Queue> void bind_shade(nb::module_& m, const std::strin
                                   image<S>(images[2]), S(scale), S(edge), at<S>(grads[0]), at<S>(grads[1]),
                                   at<S>(grads[2])},
                      at<const S>(lens), at<S>(grads[3]), at<S>(sums[0]), at<S>(sums[1]));
+  });
+  // images: normal, features, depth, alpha, object alpha; numbers: shaded, scales right and down; sums: parts, sum.
+  m.def(("normal_smoothness_" + type).c_str(), [](Address stream, Size size, Images images, Numbers numbers,
+                                                  Address v_normal, Addresses sums) {
+    nb::gil_scoped_release release;
+    normal_smoothness(Queue{at<void>(stream)}, smoothness_of<S>(size, images, numbers, v_normal), at<S>(sums[0]),
+                      at<S>(sums[1]));
   });
 }
 

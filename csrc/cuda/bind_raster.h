@@ -61,8 +61,8 @@ template <class S, class Queue> void bind_raster(nanobind::module_& m, const std
     d.needed = at<int64_t>(plan[0]), d.misfit = at<float>(plan[1]);
     bin_and_draw(Queue{at<void>(stream)}, d, at<void>(scratch));
   });
-  // working: slots, activity, sums, pose parts (or 0); out: the seven of SurfelGrads, the second of whose screen's
-  // gradients is 0 unless absolute.
+  // v_maps: of every kind, kShares times; working: slots, activity, sums, pose parts (or 0); out: the seven of SurfelGrads,
+  // the second of whose screen's gradients is 0 unless absolute.
   m.def(("raster_backward_" + type).c_str(), [](Address stream, Shape shape, Addresses in, Numbers camera, Address lens,
                                                 Address by_surfel, Address by_entry, Address maps, Address moments,
                                                 Images v_maps, Addresses working, Addresses out, bool absolute) {
@@ -70,7 +70,7 @@ template <class S, class Queue> void bind_raster(nanobind::module_& m, const std
     Drawing<S> d = drawing<S>({stream, shape, in, camera, lens, by_surfel, by_entry});
     d.maps = at<S>(maps), d.moments = at<S>(moments);
     DrawingGrads<S> g{};
-    for (int k = 0; k < kPlaneKinds; ++k) g.maps[k] = image<S>(v_maps[size_t(k)]);
+    for (size_t k = 0; k < v_maps.size(); ++k) g.maps[k % kPlaneKinds][k / kPlaneKinds] = image<S>(v_maps[k]);
     g.absolute = absolute;
     g.slots = at<S>(working[0]), g.activity = at<uint8_t>(working[1]);
     g.sums = at<S>(working[2]), g.pose_parts = at<S>(working[3]);

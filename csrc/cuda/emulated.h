@@ -181,9 +181,13 @@ struct EmulatedThread {
   void raise_bits(uint32_t* p, uint32_t v) { *p = *p < v ? v : *p; }
 };
 
+// How much work was put on emulated queues: kernels, clears, scans and sorts.
+inline int64_t launches = 0;
+
 // Shared memory starts as garbage, as on a GPU.
 template <class K> void EmulatedQueue::run(int64_t blocks, const K& kernel) const {
   if (!blocks) return;
+  ++launches;
   Fibers fibers(K::kThreads, unsigned(reinterpret_cast<uintptr_t>(order)));
   auto shared = std::make_unique<typename K::Shared>();
   for (int64_t block = 0; block < blocks; ++block) {

@@ -1,5 +1,6 @@
 #include "emulated.h"
 #include "adam.inl"
+#include "elementwise.inl"
 #include "image_loss.inl"
 #include "mlp.inl"
 #include "photo.inl"
@@ -10,6 +11,7 @@ namespace refdgs::cuda {
 
 #define REFDGS_EMULATED(S)              \
   REFDGS_ADAM(S, EmulatedQueue)         \
+  REFDGS_ELEMENTWISE(S, EmulatedQueue)  \
   REFDGS_IMAGE_LOSS(S, EmulatedQueue)   \
   REFDGS_MLP(S, EmulatedQueue)          \
   REFDGS_PHOTO(S, EmulatedQueue)        \

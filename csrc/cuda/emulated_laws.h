@@ -61,6 +61,7 @@ inline void bind_laws(nanobind::module_& m) {
     EmulatedQueue{reinterpret_cast<void*>(order)}.run(1, ReadNeighbour{waits, &wrong});
     return wrong;
   });
+  m.def("launches", [] { return launches; });
   m.def("leave_early", [] { EmulatedQueue{nullptr}.run(1, LeaveEarly{}); });
 }
 

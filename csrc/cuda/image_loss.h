@@ -12,7 +12,8 @@ template <class S> struct LossCall {
   int width, height, channels;
   Image<S> image, target;
   const S* weight;  // [H][W], or null for ones
-  const S* each;    // [1] what one unit of weight counts for
+  const S* each;    // [1] what one unit of weight counts for; null: `constant`
+  S constant;
   S l1_share, ssim_share;
   S taps[kLossTaps];
   S* slopes;        // [3][C][H][W] scratch, null without a gradient
@@ -23,6 +24,7 @@ template <class S> struct LossCall {
   S* loss;          // [1] shares of the first two times `each`, and ssim_share's part of what no pixel changes
   S* error;         // [1] the third times `each`; null with `loss`
 
+  REFDGS_HD S unit() const { return each ? *each : constant; }
   REFDGS_HD int across() const { return (width + kLossTile - 1) / kLossTile; }
   REFDGS_HD int down() const { return (height + kLossTile - 1) / kLossTile; }
   REFDGS_HD int blocks() const { return across() * down() * channels; }

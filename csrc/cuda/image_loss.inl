@@ -13,8 +13,7 @@ template <class S, class Queue> void image_loss(const Queue& q, LossCall<S> call
   }
   for (int k = 0; k < kLossTaps; ++k) call.taps[k] = S(raw[k] / sum);
   q.run(call.blocks(), CompareTiles<S>{call});
-  q.run(1, SumRows<S>{call.parts, call.blocks(), kLossSums, call.sums});
-  if (call.loss) q.run(1, FinishLoss<S>{call});
+  q.run(1, FinishLoss<S>{call});
   if (call.gradient) q.run(call.blocks(), LossGradient<S>{call});
 }
 

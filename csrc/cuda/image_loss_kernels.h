@@ -103,15 +103,17 @@ template <class S> struct CompareTiles {
   }
 };
 
-// One thread. With nothing that counts, nothing is lost.
+// One block: the sums of all parts, then the loss. With nothing that counts, nothing is lost.
 template <class S> struct FinishLoss {
-  static constexpr int kThreads = 32;
-  using Shared = Nothing;
+  static constexpr int kThreads = SumRows<S>::kThreads;
+  using Shared = typename SumRows<S>::Shared;
   LossCall<S> f;
 
-  template <class Thread> REFDGS_KERNEL void operator()(Thread& t, Shared&) const {
-    if (t.thread()) return;
-    const S each = *f.each;
+  template <class Thread> REFDGS_KERNEL void operator()(Thread& t, Shared& s) const {
+    SumRows<S>{f.parts, f.blocks(), kLossSums, f.sums}(t, s);
+    t.sync();
+    if (t.thread() || !f.loss) return;
+    const S each = f.unit();
     *f.loss = each > 0 ? each * (f.l1_share * f.sums[0] + f.ssim_share * f.sums[1]) - f.ssim_share : S(0);
     *f.error = each > 0 ? each * f.sums[2] : S(0);
   }
@@ -146,7 +148,7 @@ template <class S> struct LossGradient {
     for (int k = 0; k < kLossTaps; ++k)
       for (int q = 0; q < 3; ++q) g[q] += f.taps[k] * s.blurred[q][first + k];
     const S x = element(f.image, p.x, p.y, p.channel), y = element(f.target, p.x, p.y, p.channel), d = x - y;
-    const S sign = d > 0 ? S(1) : d < 0 ? S(-1) : S(0), each = *f.each;
+    const S sign = d > 0 ? S(1) : d < 0 ? S(-1) : S(0), each = f.unit();
     f.gradient[p.channel * plane + int64_t(p.y) * f.width + p.x] =
         each * (f.l1_share * (weight_at(f, p.x, p.y) * sign) + f.ssim_share * (g[0] + 2 * x * g[1] + y * g[2]));
   }

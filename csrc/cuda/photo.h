@@ -10,7 +10,7 @@ constexpr int kPhotoThreads = 256;  // pixels of a block, whose sums come to one
 
 // backdrop: [3] on the device.
 template <class S, class Queue> void composited(const Queue& q, const Photo& photo, const S* backdrop, S* out);
-// parts: one for each kPhotoThreads pixels; loss: [1] in.scale times the sum.
+// parts: of in.scale times the sum, one for each kPhotoThreads pixels; loss: [1] their sum, or null.
 template <class S, class Queue> void mask_entropy(const Queue& q, const MaskEntropy<S>& in, S* parts, S* loss);
 
 }  // namespace refdgs::cuda

@@ -68,7 +68,7 @@ template <class S, class Queue> void composited(const Queue& q, const Photo& pho
 template <class S, class Queue> void mask_entropy(const Queue& q, const MaskEntropy<S>& in, S* parts, S* loss) {
   const int64_t blocks = blocks_for(int64_t(in.width) * in.height, kPhotoThreads);
   q.run(blocks, MaskEntropies<S>{in, parts});
-  q.run(1, SumRows<S>{parts, blocks, 1, loss});
+  if (loss) q.run(1, SumRows<S>{parts, blocks, 1, loss});
 }
 
 #define REFDGS_PHOTO(S, Queue)                                                       \

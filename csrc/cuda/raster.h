@@ -67,10 +67,12 @@ struct RasterSizes {
 template <class S> Drawing<S> lay_out(const Surfels<S>& surfels, const Pinhole<S>& cam, Extra extra, bool normals,
                                       int64_t count, void* by_surfel, void* by_entry, RasterSizes* sizes);
 
+constexpr int kShares = 4;  // gradients of one map, which are added as they are read
+
 template <class S> struct DrawingGrads {
-  Image<S> maps[kPlaneKinds];  // of the loss by each map
-  bool absolute;               // whether sums of absolute values are made; else they are 0
-  S* slots;                    // [count][slot_width]
+  Image<S> maps[kPlaneKinds][kShares];  // of the loss by each map
+  bool absolute;                        // whether sums of absolute values are made; else they are 0
+  S* slots;                             // [count][slot_width]
   uint8_t* activity;           // [count] 0: the slot was not written
   S* sums;                     // [surfels][slot_width]
   S* pose_parts;               // [blocks of kVjpThreads surfels][12], null without a pose gradient

@@ -120,13 +120,17 @@ template <class S, int C, int X> struct Replayed {
   S T = 1, R = 0, A = 0, m1 = 0, m2 = 0;
   bool alive;
 
-  REFDGS_KERNEL Replayed(const Drawing<S>& d, const Image<S>* v, int px, int py, bool inside) : alive(inside) {
+  REFDGS_KERNEL Replayed(const Drawing<S>& d, const Image<S> (*v)[kShares], int px, int py, bool inside) : alive(inside) {
     for (int c = 0; c < C + 4; ++c) g[c] = 0;
     if (!inside) return;
     const int64_t plane = int64_t(d.cam.width) * d.cam.height, p = int64_t(py) * d.cam.width + px;
     const auto read = [&](Plane kind, int c) {
-      const Image<S>& image = v[kind];
-      return image.data ? image.data[py * image.row + px * image.column + c * image.channel] : S(0);
+      S sum = 0;
+      for (int k = 0; k < kShares; ++k) {
+        const Image<S>& image = v[kind][k];
+        if (image.data) sum += image.data[py * image.row + px * image.column + c * image.channel];
+      }
+      return sum;
     };
     const int features = d.surfels.channels;
     for (int c = 0; c < C; ++c) {

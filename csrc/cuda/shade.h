@@ -9,6 +9,8 @@ constexpr int kAgreementThreads = 256;  // pixels of a block, whose sums come to
 
 constexpr int kCoveredThreads = 256;    // pixels of a block that are counted together
 
+constexpr int kSmoothWide = 32, kSmoothHigh = 8;  // pixels of a block's tile, whose sums come to one part
+
 // The pixels where alpha is above `least`, in ascending order, then -1. What follows does nothing for those.
 template <class S> struct CoveredCall {
   int width, height;
@@ -28,18 +30,23 @@ void covered_pixels(const Queue& q, const CoveredCall<S>& call, void* scratch, i
 // lens: see lens.h; may be null.
 template <class S, class Queue>
 void shading_inputs(const Queue& q, const Covered<S>& at, const S* lens, const Inputs<S>& out);
-// Writes covered pixels only: elsewhere the gradients must be zero before.
+// Clears the gradients, which lie one after the other from that of features on, then writes covered pixels.
 template <class S, class Queue>
 void shading_inputs_bwd(const Queue& q, const Covered<S>& at, const S* lens, const Inputs<const S>& v,
                         const MapGrads<S>& grads);
 // backdrop: [3] on the device.
 template <class S, class Queue>
 void composite(const Queue& q, const Composite<S>& in, const S* backdrop, S* image);
+// v_linear: [count][3]; v_object_alpha: may be v_alpha, for the sum of both.
 template <class S, class Queue>
 void composite_bwd(const Queue& q, const Composite<S>& in, const S* backdrop, Image<S> v_image, S* v_linear,
                    S* v_object_alpha, S* v_alpha);
-// slopes: [6][H][W] scratch, null with the gradients; parts: one for each kAgreementThreads pixels; sum: [1].
+// slopes: [6][H][W] scratch, null with the gradients; parts: of in.scale times the sum, one for each kAgreementThreads
+// pixels; sum: [1] their sum, or null.
 template <class S, class Queue>
 void normal_agreement(const Queue& q, const Agreement<S>& in, const S* lens, S* slopes, S* parts, S* sum);
+// parts: one for each tile of kSmoothWide x kSmoothHigh pixels; sum: [1] their sum, or null.
+template <class S, class Queue>
+void normal_smoothness(const Queue& q, const Smoothness<S>& in, S* parts, S* sum);
 
 }  // namespace refdgs::cuda

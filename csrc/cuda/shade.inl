@@ -1,5 +1,6 @@
 // The steps of shade.h on any queue; included by one file for each.
 #include "shade_kernels.h"
+#include "smooth_kernels.h"
 
 namespace refdgs::cuda {
 
@@ -19,6 +20,8 @@ void shading_inputs(const Queue& q, const Covered<S>& at, const S* lens, const I
 template <class S, class Queue>
 void shading_inputs_bwd(const Queue& q, const Covered<S>& at, const S* lens, const Inputs<const S>& v,
                         const MapGrads<S>& grads) {
+  const int64_t planes = at.channels + 4 + (at.near.data ? 4 : 0);
+  q.zero(grads.features, size_t(planes * at.view.width * at.view.height) * sizeof(S));
   q.run(blocks_for(at.count, GatherInputsBwd<S>::kThreads), GatherInputsBwd<S>{at, lens, v, grads});
 }
 
@@ -42,8 +45,15 @@ template <class S, class Queue>
 void normal_agreement(const Queue& q, const Agreement<S>& in, const S* lens, S* slopes, S* parts, S* sum) {
   const int64_t plane = int64_t(in.view.width) * in.view.height, blocks = blocks_for(plane, kAgreementThreads);
   q.run(blocks, AgreeNormals<S>{in, lens, slopes, parts});
-  q.run(1, SumRows<S>{parts, blocks, 1, sum});
+  if (sum) q.run(1, SumRows<S>{parts, blocks, 1, sum});
   if (slopes) q.run(blocks_for(plane, AgreeNormalsBwd<S>::kThreads), AgreeNormalsBwd<S>{in, lens, slopes});
+}
+
+template <class S, class Queue>
+void normal_smoothness(const Queue& q, const Smoothness<S>& in, S* parts, S* sum) {
+  const int64_t blocks = blocks_for(in.width, kSmoothWide) * blocks_for(in.height, kSmoothHigh);
+  q.run(blocks, SmoothNormals<S>{in, parts});
+  if (sum) q.run(1, SumRows<S>{parts, blocks, 1, sum});
 }
 
 #define REFDGS_SHADE(S, Queue)                                                                               \
@@ -53,6 +63,7 @@ void normal_agreement(const Queue& q, const Agreement<S>& in, const S* lens, S* 
                                              const Inputs<const S>&, const MapGrads<S>&);                    \
   template void composite<S, Queue>(const Queue&, const Composite<S>&, const S*, S*);                        \
   template void composite_bwd<S, Queue>(const Queue&, const Composite<S>&, const S*, Image<S>, S*, S*, S*);  \
-  template void normal_agreement<S, Queue>(const Queue&, const Agreement<S>&, const S*, S*, S*, S*);
+  template void normal_agreement<S, Queue>(const Queue&, const Agreement<S>&, const S*, S*, S*, S*);         \
+  template void normal_smoothness<S, Queue>(const Queue&, const Smoothness<S>&, S*, S*);
 
 }  // namespace refdgs::cuda

@@ -197,7 +197,7 @@ template <class S> struct ComposeBehindBwd {
     S sum = 0;
     for (int c = 0; c < 3; ++c) sum -= pixel_of(v_image, p / in.width, p % in.width, c) * backdrop[c];
     v_alpha[p] = sum;
-    v_object_alpha[p] = 0;
+    if (v_object_alpha != v_alpha) v_object_alpha[p] = 0;
   }
 };
 
@@ -213,7 +213,7 @@ template <class S> struct ComposeObjectBwd {
     if (i >= in.count) return;
     const int64_t p = in.pixels[i], y = p / in.width, x = p % in.width;
     if (p < 0) {
-      for (int c = 0; c < 3; ++c) v_linear[c * in.count + i] = 0;
+      for (int c = 0; c < 3; ++c) v_linear[3 * i + c] = 0;
       return;
     }
     const S a = pixel_of(in.object_alpha, y, x, 0);
@@ -222,9 +222,9 @@ template <class S> struct ComposeObjectBwd {
       const Shown<S> shown(row_of(in.diffuse, i, c) + row_of(in.radiance, i, c));
       const S v = pixel_of(v_image, y, x, c);
       v_a += v * shown.color;
-      v_linear[c * in.count + i] = shown.vjp(a * v);
+      v_linear[3 * i + c] = shown.vjp(a * v);
     }
-    v_object_alpha[p] = v_a;
+    v_object_alpha[p] += v_a;
   }
 };
 
@@ -271,7 +271,7 @@ template <class S> struct AgreeNormals {
       if (bend_of<S>(above.z, below.z, left.z, next.z, here) * view.fx < in.edge * here) {
         const Vec3<S> splatted = three_of(in.normal, y, x);
         const NormalPair<S> pair(below - above, next - left, splatted, view.world_from_cam, -in.scale * weight);
-        sum = weight * (1 - pair.agreement);
+        sum = in.scale * weight * (1 - pair.agreement);
         parts_of[0] = pair.v_down.x, parts_of[1] = pair.v_down.y, parts_of[2] = pair.v_down.z;
         parts_of[3] = pair.v_right.x, parts_of[4] = pair.v_right.y, parts_of[5] = pair.v_right.z;
         v_normal = pair.v_normal;

@@ -3,6 +3,16 @@
 from refdgs_pipe.ops.adam import adam_step, rates_of
 from refdgs_pipe.ops.clip import clip, srgb_curve
 from refdgs_pipe.ops.definition.rasterize import rotation_matrices
+from refdgs_pipe.ops.elementwise import (
+    activated,
+    damped,
+    descend,
+    diffuse_of,
+    image_mean,
+    mirrored,
+    observe,
+    total,
+)
 from refdgs_pipe.ops.image_loss import image_loss, image_loss_and_error, ssim, ssim_map
 from refdgs_pipe.ops.mlp import mlp
 from refdgs_pipe.ops.photo import composited, mask_entropy
@@ -26,18 +36,25 @@ __all__ = [
     "Readback",
     "ScreenStatistics",
     "Surfels",
+    "activated",
     "adam_step",
     "clip",
     "composite",
     "composited",
     "covered_pixels",
+    "damped",
+    "descend",
+    "diffuse_of",
     "image_loss",
     "image_loss_and_error",
+    "image_mean",
     "mask_entropy",
     "mip_levels",
+    "mirrored",
     "mlp",
     "normal_agreement",
     "normal_smoothness",
+    "observe",
     "rasterize",
     "rates_of",
     "rotation_matrices",
@@ -46,4 +63,5 @@ __all__ = [
     "srgb_curve",
     "ssim",
     "ssim_map",
+    "total",
 ]

@@ -49,7 +49,12 @@ def composited(
 
 
 def mask_entropy(
-    alpha: Tensor, mask: Tensor, *, weight: float = 1.0, threads: int | None = None
+    alpha: Tensor,
+    mask: Tensor,
+    *,
+    weight: float = 1.0,
+    whole: bool = True,
+    threads: int | None = None,
 ) -> Tensor:
     """`weight` times the mean binary cross-entropy of alpha against a soft mask; a scalar.
 
@@ -58,6 +63,7 @@ def mask_entropy(
     Args:
         alpha: (H, W).
         mask: (H, W) uint8, constant.
+        whole: false: on a GPU parts of it, for `total` and nothing else.
         threads: default torch's; the result does not depend on it.
 
     Raises:
@@ -69,7 +75,7 @@ def mask_entropy(
         raise ShapeError(f"alpha is {tuple(alpha.shape)}: give (H, W), at least one pixel")
     _check_mask(mask, alpha)
     count = threads or torch.get_num_threads()
-    loss: Tensor = _MASK_ENTROPY.kernel(alpha)(alpha, mask.contiguous(), weight, count)
+    loss: Tensor = _MASK_ENTROPY.kernel(alpha)(alpha, mask.contiguous(), weight, whole, count)
     return loss
 
 

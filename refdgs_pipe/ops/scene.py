@@ -115,6 +115,15 @@ class Maps:
     median_depth: Tensor | None
     distortion: Tensor | None
     statistics: ScreenStatistics = field(repr=False)
+    others: tuple["Maps", ...] = field(default=(), repr=False)
+
+    def share(self, k: int) -> "Maps":
+        """The same maps, k = 0 to 3, for one of several users.
+
+        A GPU adds the gradients of a map's shares as it reads them. Those of two users of one share
+        would be added before, in a pass over the image.
+        """
+        return self.others[k - 1] if 0 < k <= len(self.others) else self
 
 
 def maps_of(

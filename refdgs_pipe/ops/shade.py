@@ -25,13 +25,13 @@ _NORMAL_AGREEMENT = Operation(
     "normal_agreement",
     definition.normal_agreement,
     on_cpu.NormalAgreement,
-    on_gpu.normal_agreement,
+    on_gpu.NormalAgreement,
 )
 _NORMAL_SMOOTHNESS = Operation(
     "normal_smoothness",
     definition.normal_smoothness,
     on_cpu.NormalSmoothness,
-    definition.normal_smoothness,
+    on_gpu.NormalSmoothness,
 )
 
 
@@ -136,6 +136,7 @@ def normal_agreement(
     *,
     edge: float = math.inf,
     weight: float = 1.0,
+    whole: bool = True,
     threads: int | None = None,
 ) -> Tensor:
     """`weight` times the mean of alpha (1 - n . n_depth) over pixels with four neighbours.
@@ -150,6 +151,7 @@ def normal_agreement(
         normal: (H, W, 3) sums of w n, world; depth: (H, W) sums of w z; alpha: (H, W) sums of w.
         camera: constant.
         edge: second differences of the depth above this are an edge, in pixel footprints z / fx.
+        whole: false: on a GPU parts of it, for `total` and nothing else.
         threads: default torch's; the result does not depend on it.
 
     Raises:
@@ -161,7 +163,7 @@ def normal_agreement(
         raise ShapeError(f"image of {camera.width}x{camera.height}: no pixel has four neighbours")
     count = threads or torch.get_num_threads()
     loss: Tensor = _NORMAL_AGREEMENT.kernel(alpha)(
-        normal, depth, alpha, camera, edge, weight, count
+        normal, depth, alpha, camera, edge, weight, whole, count
     )
     return loss
 
@@ -175,6 +177,7 @@ def normal_smoothness(
     *,
     shaded: float,
     weight: float = 1.0,
+    whole: bool = True,
     threads: int | None = None,
 ) -> Tensor:
     """`weight` times the mean |n_p - n_q| of neighbours, damped at edges but not at reflections.
@@ -188,6 +191,7 @@ def normal_smoothness(
         features: (H, W, C) sums of w times what surfels carry, linear diffuse colour first.
         depth: (H, W) sums of w z; alpha: (H, W) sums of w.
         object_alpha: (H, W), what `features` are divided by; at most `shaded`, diffuse is 0.
+        whole: false: on a GPU parts of it, for `total` and nothing else.
         threads: default torch's; the result does not depend on it.
 
     Raises:
@@ -200,7 +204,7 @@ def normal_smoothness(
         raise ShapeError(f"image of {size[1]}x{size[0]}: no pixel has neighbours on two sides")
     count = threads or torch.get_num_threads()
     loss: Tensor = _NORMAL_SMOOTHNESS.kernel(alpha)(
-        *images.values(), object_alpha, shaded, weight, count
+        *images.values(), object_alpha, shaded, weight, whole, count
     )
     return loss
 

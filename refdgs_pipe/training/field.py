@@ -11,7 +11,7 @@ from refdgs_pipe.artifacts.lighting import WORLD, Lighting
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.start import RawSet, Start
 from refdgs_pipe.artifacts.surfel_field import ShaderModel, SurfelField, SurfelSet
-from refdgs_pipe.ops import Pinhole
+from refdgs_pipe.ops import Pinhole, observe
 from refdgs_pipe.ops.cuda import sent
 from refdgs_pipe.training.exposure import Exposures
 from refdgs_pipe.training.ground import Surroundings
@@ -28,7 +28,6 @@ from refdgs_pipe.training.surfels import (
     all_optimizers,
     array,
     densify,
-    diffuse_of,
     step_all,
 )
 
@@ -174,7 +173,6 @@ class TrainableField:
 
     def scene(self, camera: Pinhole, fraction: float) -> Scene:
         """What is drawn now: activated, and the background's colour towards this camera."""
-        raw = self.geometry.raw
         with_local, with_shader = self.parts(fraction)
         background_rgb = None
         if self.background is not None:
@@ -184,15 +182,16 @@ class TrainableField:
             towards = self.background.raw["means"].detach() - center
             towards = towards / towards.norm(dim=-1, keepdim=True)
             background_rgb = sh_color(self.background.raw["sh"], towards)
+        geometry, carried = self.geometry.activated()
+        local, local_features = None, None
+        if self.local is not None and with_local:
+            local, local_features = self.local.activated()
         return Scene(
-            geometry=self.geometry.surfels(),
-            diffuse=diffuse_of(raw["raw_diffuse"]),
-            roughness=torch.sigmoid(raw["raw_roughness"]),
-            shared_features=torch.tanh(raw["features"]) if "features" in raw else None,
-            local=self.local.surfels() if self.local is not None and with_local else None,
-            local_features=torch.tanh(self.local.raw["features"])
-            if self.local is not None and with_local
-            else None,
+            geometry=geometry,
+            carried=carried,
+            shares="features" in self.geometry.raw,
+            local=local,
+            local_features=local_features,
             background=None if self.background is None else self.background.surfels(),
             background_rgb=background_rgb,
             shader=self.shader if with_shader else None,
@@ -206,15 +205,14 @@ class TrainableField:
             misfit: () 1 where the picture is not what it should be, see `Plan`.
         """
         statistics, n = picture.maps.statistics, len(self.geometry)
-        pull = statistics.gradients[:, 0] * (width / 2)
-        seen = statistics.radii > 0
-        fits = True if misfit is None else misfit == 0
-        self.geometry.observe(pull[:n], seen[:n] & fits)
+        found = [(self.geometry, statistics.gradients[:n], statistics.radii[:n])]
         if self.background is not None:
-            self.background.observe(pull[n:], seen[n:] & fits)
+            found.append((self.background, statistics.gradients[n:], statistics.radii[n:]))
         if self.local is not None and picture.local_statistics is not None:
             local = picture.local_statistics
-            self.local.observe(local.gradients[:, 0] * (width / 2), (local.radii > 0) & fits)
+            found.append((self.local, local.gradients, local.radii))
+        sets = [(group.gradient_sum, group.seen, pull, radii) for group, pull, radii in found]
+        observe(sets, scale=width / 2, misfit=misfit)
 
     def step(self, misfit: Tensor | None = None, rates: Tensor | None = None) -> None:
         """One update of everything; of nothing where `misfit` is 1.

@@ -91,9 +91,10 @@ def _scene(field: SurfelField, camera: Camera, device: str) -> Scene:
         rgb = sh_color(torch.from_numpy(background.values["sh"]), towards).to(device)
     return Scene(
         geometry=_surfels(field.geometry, device),
-        diffuse=values["diffuse"],
-        roughness=values["roughness"][:, 0],
-        shared_features=values.get("features"),
+        carried=torch.cat(
+            [values[k] for k in ("diffuse", "roughness", "features") if k in values], 1
+        ),
+        shares="features" in values,
         local=_surfels(local, device) if len(local) else None,
         local_features=near["features"] if len(local) else None,
         background=_surfels(background, device) if len(background) else None,

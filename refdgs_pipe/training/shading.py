@@ -13,6 +13,7 @@ from refdgs_pipe.ops import (
     Surfels,
     composite,
     covered_pixels,
+    damped,
     rasterize,
     shading_inputs,
 )
@@ -22,7 +23,6 @@ from refdgs_pipe.training.reflection import Shader, specular
 
 SHADED_ALPHA = 0.05  # thinner pixels show no object
 _SH1 = 0.4886025119029199
-_DARK = 3e-4  # sum of three linear colours below which no share is told
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,8 @@ class Scene:
     """What is drawn, activated.
 
     Args:
-        geometry: with diffuse (N, 3) and roughness (N,), and features (N, 4) when shared.
+        geometry: with what it carries (N, 4 or 8): diffuse 3, roughness 1, and features 4 if
+            `shares`.
         local: with local_features (M, 4); None when there is none (yet).
         background: with background_rgb (B, 3), sRGB, seen from this camera; None when removed.
         shader: None for a matte field.
@@ -38,9 +39,8 @@ class Scene:
     """
 
     geometry: Surfels
-    diffuse: Tensor
-    roughness: Tensor
-    shared_features: Tensor | None
+    carried: Tensor
+    shares: bool
     local: Surfels | None
     local_features: Tensor | None
     background: Surfels | None
@@ -123,13 +123,11 @@ def _concatenated(scene: Scene) -> tuple[Surfels, Tensor]:
 
     Channels: diffuse 3, roughness 1, [features 4], [inside 1, background rgb 3].
     """
-    carried = [scene.diffuse, scene.roughness[:, None]]
-    if scene.shared_features is not None:
-        carried.append(scene.shared_features)
+    carried = scene.carried
     if scene.background is None or scene.background_rgb is None:
-        return scene.geometry, torch.cat(carried, -1)
-    n, width = len(scene.diffuse), sum(c.shape[1] for c in carried)
-    inside = torch.cat([*carried, scene.diffuse.new_ones(n, 1), scene.diffuse.new_zeros(n, 3)], -1)
+        return scene.geometry, carried
+    n, width = carried.shape
+    inside = torch.cat([carried, carried.new_ones(n, 1), carried.new_zeros(n, 3)], -1)
     rgb = scene.background_rgb
     outside = torch.cat([rgb.new_zeros(len(rgb), width + 1), rgb], -1)
     g, b = scene.geometry, scene.background
@@ -165,10 +163,12 @@ def draw(
     """
     surfels, values = _concatenated(scene)
     maps = rasterize(surfels, values, camera, extra=extra, normals=True, absolute=False, plan=plan)
-    object_alpha, behind = maps.alpha, None
+    object_alpha, behind, composed = maps.alpha, None, maps.share(1).alpha
+    whole = composed
     if scene.background is not None:
         inside_at = values.shape[1] - 4
         object_alpha, behind = maps.features[..., inside_at], maps.features[..., inside_at + 1 :]
+        composed = object_alpha
     assert maps.normal is not None
     shaded = object_alpha.detach() > SHADED_ALPHA
     near, local_statistics = _near_features(scene, camera, maps, shaded, plan)
@@ -184,9 +184,11 @@ def draw(
         far, there = _moved(scene.light, camera, reflected, pixels, lamp)
         radiance = specular(scene.shader, far, roughness, cosine, near, limit, from_camera=there)
         if turn_share > 0 and reflected.requires_grad:
-            trust = _share(radiance.detach(), lit.detach()).div(turn_share).clamp(max=1.0)
-            reflected.register_hook(lambda grad: grad * trust)  # type: ignore[no-untyped-call]
-    image = composite(lit, radiance, pixels, object_alpha, maps.alpha, backdrop, behind)
+            light = radiance.detach(), lit.detach()
+            reflected.register_hook(  # type: ignore[no-untyped-call]
+                lambda grad: damped(grad, *light, turn_share)
+            )
+    image = composite(lit, radiance, pixels, composed, whole, backdrop, behind)
     carried = (diffuse, roughness)
     return Picture(image, maps, object_alpha, pixels, carried, radiance, local_statistics)
 
@@ -211,12 +213,6 @@ def _shade(light: MovingLight, maps: Maps, pixels: Tensor, camera: Pinhole) -> T
     return torch.where((pixels >= 0)[:, None], light.shade(maps, pixels, camera), 1.0)
 
 
-def _share(radiance: Tensor, diffuse: Tensor) -> Tensor:
-    """(P, 1) share of specular light (P, 3) in all that leaves a pixel."""
-    mirrored = radiance.sum(-1, keepdim=True)
-    return mirrored / (mirrored + diffuse.sum(-1, keepdim=True)).clamp(min=_DARK)
-
-
 def _near_features(
     scene: Scene, camera: Pinhole, maps: Maps, shaded: Tensor, plan: Plan | None
 ) -> tuple[Tensor | None, ScreenStatistics | None]:
@@ -227,7 +223,7 @@ def _near_features(
     """
     if scene.shader is None or scene.shader.local == "none":
         return None, None
-    if scene.shared_features is not None:
+    if scene.shares:
         return maps.features[..., 4:8], None
     if scene.local is None or scene.local_features is None:
         return None, None

@@ -10,10 +10,14 @@ from refdgs_pipe.ops import (
     Pinhole,
     Plan,
     composited,
+    descend,
     image_loss_and_error,
+    image_mean,
     mask_entropy,
+    mirrored,
     normal_agreement,
     normal_smoothness,
+    total,
 )
 from refdgs_pipe.ops.scene import Extra
 from refdgs_pipe.training import losses
@@ -72,54 +76,64 @@ def take_step(
     target = composited(photo.rgb, photo.mask, backdrop)
     if field.exposures is not None and photo.which is not None:
         picture = replace(picture, image=picture.image * field.exposures.factor(photo.which))
-    loss, error = _loss(p, picture, photo, still, target)
+    terms, error = _terms(p, picture, photo, still, target)
     if field.weighs_specular(fraction):
-        mirrored = losses.mirrored(picture.radiance, picture.pixels, picture.maps.alpha.numel())
-        loss = loss + p.specular_weight * mirrored
+        count, weight = picture.maps.alpha.numel(), p.specular_weight
+        terms.append(mirrored(picture.radiance, picture.pixels, count, weight=weight, whole=False))
+    loss = total(terms)
     if field.exposures is not None and photo.which is not None:
         loss = loss + p.exposure_weight * field.exposures.strangeness(photo.which)
     if field.poses is not None and pinhole is not photo.pinhole:
         strangeness = field.poses.strangeness(photo.camera.name)
         loss = loss + p.pose_weight * strangeness.to(loss)
-    loss.backward()  # type: ignore[no-untyped-call]
+    descend(loss)
     misfit = None if plan is None else plan.misfit
     field.observe(picture, photo.pinhole.width, misfit)
     field.step(misfit, rates)
     return Taken(loss.detach(), error, picture.image.detach(), target)
 
 
-def _loss(
+def _terms(
     p: TrainParams, picture: Picture, photo: TrainingPhoto, pinhole: Pinhole, target: Tensor
-) -> tuple[Tensor, Tensor]:
-    """What is minimised, and the mean squared error of the picture."""
-    maps = picture.maps
+) -> tuple[list[Tensor], Tensor]:
+    """What is minimised is their total; and the mean squared error of the picture."""
+    maps, flat = picture.maps, picture.maps.share(2)
     valid = None if photo.valid is None else photo.valid.float()
     loss, error = image_loss_and_error(picture.image, target, weight=valid, ssim_share=p.ssim_share)
+    terms = [loss]
     # weights go in, so that backward has nothing to scale
     if photo.mask is not None and p.mask_weight > 0:
-        loss = loss + mask_entropy(maps.alpha, photo.mask, weight=p.mask_weight)
+        alpha = maps.share(3).alpha
+        terms.append(mask_entropy(alpha, photo.mask, weight=p.mask_weight, whole=False))
     if photo.beyond is not None and p.mask_weight > 0:
-        loss = loss + p.mask_weight * losses.out_of_place(picture.object_alpha, photo.beyond)
-    if p.normal_weight > 0 and maps.normal is not None and maps.depth is not None:
-        loss = loss + normal_agreement(
-            maps.normal,
-            maps.depth,
-            maps.alpha,
-            pinhole,
-            edge=p.normal_edge,
-            weight=p.normal_weight,
+        terms.append(p.mask_weight * losses.out_of_place(picture.object_alpha, photo.beyond))
+    if p.normal_weight > 0 and flat.normal is not None and flat.depth is not None:
+        terms.append(
+            normal_agreement(
+                flat.normal,
+                flat.depth,
+                flat.alpha,
+                pinhole,
+                edge=p.normal_edge,
+                weight=p.normal_weight,
+                whole=False,
+            )
         )
-    if p.smooth_weight > 0 and maps.normal is not None and maps.depth is not None:
-        loss = loss + normal_smoothness(
-            maps.normal,
-            maps.features,
-            maps.depth,
-            maps.alpha,
-            picture.object_alpha,
-            shaded=SHADED_ALPHA,
-            weight=p.smooth_weight,
+    normal = maps.share(3).normal
+    if p.smooth_weight > 0 and normal is not None and maps.depth is not None:
+        terms.append(
+            normal_smoothness(
+                normal,
+                maps.features,
+                maps.depth,
+                maps.alpha,
+                picture.object_alpha,
+                shaded=SHADED_ALPHA,
+                weight=p.smooth_weight,
+                whole=False,
+            )
         )
-    if maps.distortion is not None:
-        relative = maps.distortion.mean() / NEAR**2  # it is measured in near / depth
-        loss = loss + p.distortion_weight * relative
-    return loss, error
+    if maps.distortion is not None:  # it is measured in near / depth
+        weight = p.distortion_weight
+        terms.append(image_mean(maps.distortion, weight=weight, divisor=NEAR**2, whole=False))
+    return terms, error

@@ -10,15 +10,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from refdgs_pipe.artifacts.surfel_field import SurfelSet
-from refdgs_pipe.ops import Surfels, adam_step, rotation_matrices
+from refdgs_pipe.ops import Surfels, activated, adam_step, diffuse_of, rotation_matrices
 
 _RESET_OPACITY = math.log(0.01 / 0.99)  # raw
+_CURVES = {"raw_diffuse": "diffuse", "raw_roughness": "sigmoid", "features": "tanh"}
 _EPSILON = 1e-15  # of Adam, as the method has it: gradients per surfel are tiny
-
-
-def diffuse_of(raw: Tensor) -> Tensor:
-    """Linear diffuse colour, exp(min(a, 5)) / 5."""
-    return torch.exp(raw.clamp(max=5.0)) / 5.0
 
 
 def raw_diffuse_of(diffuse: Tensor) -> Tensor:
@@ -52,16 +48,18 @@ class TrainableSet:
             torch.sigmoid(raw["raw_opacities"]),
         )
 
+    def activated(self) -> tuple[Surfels, Tensor]:
+        """The activated geometry, and side by side (N, C) what else is activated by curves."""
+        raw = self.raw
+        tables = [(curve, raw[name]) for name, curve in _CURVES.items() if name in raw]
+        scales, opacities, carried = activated(raw["log_scales"], raw["raw_opacities"], tables)
+        return Surfels(raw["means"], raw["quats"], scales, opacities), carried
+
     def set_rate(self, name: str, rate: float) -> None:
         """Change the step of one tensor."""
         for group in self.optimizer.param_groups:
             if group["name"] == name:
                 group["lr"] = rate
-
-    def observe(self, gradients: Tensor, seen: Tensor) -> None:
-        """Add one view's screen gradients (N,) for the surfels it drew, `seen` (N,) bool."""
-        self.gradient_sum += torch.where(seen, gradients, 0.0)
-        self.seen += seen
 
     def _reset_statistics(self) -> None:
         n = len(self)

@@ -227,7 +227,10 @@ def _shading(size: tuple[int, int], random: Callable[..., Tensor]) -> Run:
         "depth": (2 + random(height, width)) * alpha,
         "radiance": random(height * width // 2, 3),
         "behind": 0.2 * random(height, width, 3),
+        "smooth normal": random(height, width, 3) - 0.5,
     }
+    solid = (0.7 + random(height, width)).clamp(max=1)
+    flat, colors = solid * (2 + 0.01 * random(height, width)), 0.1 * random(height, width, 4)
     pixels, backdrop = torch.arange(0, height * width // 2 * 2, 2), random(3)
     view = camera(width, height)
 
@@ -240,10 +243,13 @@ def _shading(size: tuple[int, int], random: Callable[..., Tensor]) -> Run:
             diffuse, p["radiance"], there, 0.9 * p["alpha"], p["alpha"],
             backdrop.to(p["alpha"]), p["behind"],
         )  # fmt: skip
+        images = [t.to(p["alpha"]) for t in (colors, flat, solid, 0.8 * solid)]
+        smooth = ops.normal_smoothness(p["smooth normal"], *images, shaded=0.6)
         agreement = ops.normal_agreement(p["normal"], p["depth"], p["alpha"], view, edge=1e3)
         assert near is not None
         named = {"diffuse": diffuse, "roughness": roughness, "reflected": reflected}
         named |= {"cosine": cosine, "near": near}
-        return named | {"image": image, "agreement": agreement * height * width}
+        sums = {"agreement": agreement * height * width, "smoothness": smooth * height * width}
+        return named | {"image": image, **sums}
 
     return _plain(inputs, shade)

@@ -27,6 +27,13 @@ def loss_and_gradient(size: tuple[int, int], weighted: bool) -> list[Tensor]:
     return [loss.detach(), error, leaf.grad, ops.ssim_map(image, target)]
 
 
+def smoothness() -> list[Tensor]:
+    normal, *rest = shades.solid_maps(4, size=(21, 70))
+    loss = ops.normal_smoothness(normal, *rest, shaded=0.3, weight=0.2)
+    loss.backward()
+    return [loss.detach(), normal.grad]
+
+
 def test_room_to_spare_changes_no_bit_of_the_map_s_gradient() -> None:
     base, (directions, roughness) = mips.random_map(16, 32), mips.query(300)
     slopes = []
@@ -59,6 +66,7 @@ def test_the_order_of_threads_changes_nothing(order: int) -> None:
             *networks.pulled(ops.mlp, networks.points(70), *networks.network()),
             *mips.pulled(ops.sph_mip, base, *query),
             agreement.detach(),
+            *smoothness(),
         ]
 
     with emulated():

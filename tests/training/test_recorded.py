@@ -251,7 +251,7 @@ def test_a_step_leaves_nothing_of_its_gradients_graph(
 
     Made in a usual step and still alive, it would take a recording to that stream, and break it.
     """
-    loss_of, marked = step._loss, []
+    terms_of, marked = step._terms, []
 
     def nodes(trainer: Trainer) -> list[dict[str, int]]:
         groups = [g for o in trainer.field.optimizers() for g in o.param_groups]
@@ -263,9 +263,9 @@ def test_a_step_leaves_nothing_of_its_gradients_graph(
             for metadata in nodes(trainer):
                 metadata["seen"] = 1
             marked.append([len(m) for m in nodes(trainer)])
-            return loss_of(*arguments)
+            return terms_of(*arguments)
 
-        monkeypatch.setattr(step, "_loss", marking)
+        monkeypatch.setattr(step, "_terms", marking)
 
     short = {"iterations": 2, "surfels": 60}
     trainer, *_ = trained(tmp_path, tape=None, change=mark, has_masks=False, **short)

@@ -22,14 +22,13 @@ from refdgs_pipe.artifacts.views import Exif, KnownPose, View, Views
 from refdgs_pipe.camera import Camera, Lens
 from refdgs_pipe.errors import Cancelled, CorruptError, TrainingError
 from refdgs_pipe.metrics import normal_error_deg, psnr
-from refdgs_pipe.ops import Pinhole, clip
+from refdgs_pipe.ops import Pinhole, clip, mirrored
 from refdgs_pipe.ops.definition.shade import depth_normals, srgb_of
 from refdgs_pipe.pipeline.events import Event, Progress, Sampled
 from refdgs_pipe.pipeline.stage import Job
 from refdgs_pipe.training import initial
 from refdgs_pipe.training.begin import begin
 from refdgs_pipe.training.checkpoint import NAME, read_checkpoint, write_checkpoint
-from refdgs_pipe.training.losses import mirrored
 from refdgs_pipe.training.render import render_image, render_surface_map
 from refdgs_pipe.training.surfels import DensityRules, TrainableSet, densify
 

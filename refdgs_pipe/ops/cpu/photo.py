@@ -27,7 +27,9 @@ class MaskEntropy(torch.autograd.Function):
     """The loss is a scalar, so forward computes the whole gradient and backward scales it."""
 
     @staticmethod
-    def forward(ctx: Any, alpha: Tensor, mask: Tensor, weight: float, threads: int) -> Tensor:
+    def forward(
+        ctx: Any, alpha: Tensor, mask: Tensor, weight: float, whole: bool, threads: int
+    ) -> Tensor:
         scale = weight / alpha.numel()
         ctx.gradient = alpha.new_empty(alpha.shape) if ctx.needs_input_grad[0] else None
         total: float = kernels("mask_entropy", alpha)(
@@ -43,4 +45,4 @@ class MaskEntropy(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
         scale = float(grads[0])
-        return ctx.gradient if scale == 1 else ctx.gradient * scale, None, None, None
+        return ctx.gradient if scale == 1 else ctx.gradient * scale, *[None] * 4

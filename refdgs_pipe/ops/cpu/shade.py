@@ -106,6 +106,7 @@ class NormalAgreement(torch.autograd.Function):
         camera: Pinhole,
         edge: float,
         weight: float,
+        whole: bool,
         threads: int,
     ) -> Tensor:
         height, width = alpha.shape
@@ -129,7 +130,7 @@ class NormalAgreement(torch.autograd.Function):
     def backward(ctx: Any, *v: Tensor) -> tuple[Tensor | None, ...]:
         scale = float(v[0])
         v_normal, v_depth, v_alpha = (g if scale == 1 else g * scale for g in ctx.grads)
-        return v_normal.permute(1, 2, 0), v_depth[0], v_alpha[0], *[None] * 4
+        return v_normal.permute(1, 2, 0), v_depth[0], v_alpha[0], *[None] * 5
 
 
 class NormalSmoothness(torch.autograd.Function):
@@ -143,6 +144,7 @@ class NormalSmoothness(torch.autograd.Function):
         object_alpha: Tensor,
         shaded: float,
         weight: float,
+        whole: bool,
         threads: int,
     ) -> Tensor:
         height, width = alpha.shape
@@ -160,4 +162,4 @@ class NormalSmoothness(torch.autograd.Function):
     def backward(ctx: Any, *v: Tensor) -> tuple[Tensor | None, ...]:
         scale, gradient = float(v[0]), ctx.gradient
         scaled = gradient if scale == 1 else gradient * scale
-        return scaled.permute(1, 2, 0), *[None] * 7
+        return scaled.permute(1, 2, 0), *[None] * 8

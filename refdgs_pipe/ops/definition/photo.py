@@ -13,7 +13,9 @@ def composited(rgb: Tensor, mask: Tensor | None, backdrop: Tensor, threads: int 
     return color * m + (1 - m) * backdrop
 
 
-def mask_entropy(alpha: Tensor, mask: Tensor, weight: float, threads: int = 1) -> Tensor:
+def mask_entropy(
+    alpha: Tensor, mask: Tensor, weight: float, whole: bool, threads: int = 1
+) -> Tensor:
     """`ops.mask_entropy`."""
     m, a = mask.to(alpha.dtype) / 255, alpha.clamp(1e-4, 1 - 1e-4)
     return -weight * (m * torch.log(a) + (1 - m) * torch.log(1 - a)).mean()

@@ -96,6 +96,7 @@ def normal_agreement(
     camera: Pinhole,
     edge: float,
     weight: float,
+    whole: bool,
     threads: int = 1,
 ) -> Tensor:
     """`ops.normal_agreement`."""
@@ -119,6 +120,7 @@ def normal_smoothness(
     object_alpha: Tensor,
     shaded: float,
     weight: float,
+    whole: bool,
     threads: int = 1,
 ) -> Tensor:
     """`ops.normal_smoothness`."""

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from refdgs_pipe.ops import addresses, cuda
+from refdgs_pipe.ops.gpu.elementwise import scaled
 
 TILE, SUMS = 16, 3  # pixels along the edge of a block's tile; its sums
 
@@ -19,9 +20,8 @@ class ImageLoss(torch.autograd.Function):
     ) -> tuple[Tensor, Tensor]:
         weight = None if weight is None else weight.contiguous()
         height, width, channels = image.shape
-        if weight is None:
-            each = image.new_full((1,), 1.0 / image.numel() if image.numel() else 0.0)
-        else:
+        each = None
+        if weight is not None:
             total = weight.sum().reshape(1) * channels
             each = torch.where(total > 0, 1 / total, 0.0)
         needed = ctx.needs_input_grad[0]
@@ -29,30 +29,33 @@ class ImageLoss(torch.autograd.Function):
         shares, loss = (1 - share, -share), (image.new_empty(()), image.new_empty(()))
         _compare(image, target, weight, each, shares, gradient=ctx.gradient, loss=loss)
         ctx.mark_non_differentiable(loss[1])
+        ctx.set_materialize_grads(False)
         return loss
 
     @staticmethod
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
-        return (ctx.gradient * grads[0]).permute(1, 2, 0), None, None, None, None
+    def backward(ctx: Any, *grads: Tensor | None) -> tuple[Tensor | None, ...]:
+        if grads[0] is None:
+            return (None,) * 5
+        return scaled(ctx.gradient, grads[0]).permute(1, 2, 0), None, None, None, None
 
 
 def ssim_map(image: Tensor, target: Tensor, threads: int) -> Tensor:
     """`ops.ssim_map`; inputs are checked there."""
     planes = image.new_empty(image.shape[2], *image.shape[:2])
-    _compare(image, target, None, image.new_ones(1), (0.0, 0.0), ssim=planes)
+    _compare(image, target, None, None, (0.0, 0.0), ssim=planes)
     return planes.permute(1, 2, 0)
 
 
 def ssim_sum(image: Tensor, target: Tensor, threads: int) -> float:
     """The sum of `ssim_map`, waited for."""
-    return float(_compare(image, target, None, image.new_ones(1), (0.0, 0.0))[1])
+    return float(_compare(image, target, None, None, (0.0, 0.0))[1])
 
 
 def _compare(
     image: Tensor,
     target: Tensor,
     weight: Tensor | None,
-    each: Tensor,
+    each: Tensor | None,
     shares: tuple[float, float],
     *,
     gradient: Tensor | None = None,
@@ -65,7 +68,7 @@ def _compare(
     squared error, where they are given.
 
     Args:
-        each: (1,) what one unit of weight counts for in the loss.
+        each: (1,) what one unit of weight counts for in the loss; None: a mean over all.
         shares: of the first two sums in the loss.
     """
     height, width, channels = image.shape
@@ -78,7 +81,7 @@ def _compare(
         list(image.shape),
         [addresses.image(image), addresses.image(target)],
         addresses.each((weight, each)),
-        list(shares),
+        [*shares, 1 / image.numel() if image.numel() else 0.0],
         addresses.each((scratch, gradient, ssim, parts, sums, *(loss or (None, None)))),
     )
     return sums

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from refdgs_pipe.ops import addresses, cuda
+from refdgs_pipe.ops.gpu.elementwise import scaled
 
 BLOCK = 256  # pixels whose part of the sum is one
 
@@ -27,10 +28,12 @@ class MaskEntropy(torch.autograd.Function):
     """Forward computes the whole gradient of the scalar and backward scales it."""
 
     @staticmethod
-    def forward(ctx: Any, alpha: Tensor, mask: Tensor, weight: float, threads: int) -> Tensor:
+    def forward(
+        ctx: Any, alpha: Tensor, mask: Tensor, weight: float, whole: bool, threads: int
+    ) -> Tensor:
         ctx.gradient = alpha.new_empty(alpha.shape) if ctx.needs_input_grad[0] else None
-        loss = alpha.new_empty(())
-        parts = cuda.memory(-(-alpha.numel() // BLOCK) * alpha.itemsize, alpha)
+        loss = alpha.new_empty(()) if whole else None
+        parts = alpha.new_empty(-(-alpha.numel() // BLOCK))
         cuda.kernels("mask_entropy", alpha)(
             [*alpha.shape],
             [addresses.image(alpha)],
@@ -38,8 +41,8 @@ class MaskEntropy(torch.autograd.Function):
             weight / alpha.numel(),
             addresses.each((ctx.gradient, parts, loss)),
         )
-        return loss
+        return parts if loss is None else loss
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
-        return ctx.gradient * grads[0], None, None, None
+        return scaled(ctx.gradient, grads[0]), *[None] * 4

@@ -1,5 +1,6 @@
 """Drawing surfels on a GPU."""
 
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -20,6 +21,7 @@ from refdgs_pipe.ops.scene import (
 
 MOST_ENTRIES = 2**31 - 1
 POSE_BLOCK = 128  # surfels whose pose gradients are added first
+SHARES = 4  # gradients of one map that the kernels add as they read them
 
 
 def rasterize(
@@ -35,7 +37,7 @@ def rasterize(
 ) -> Maps:
     """`ops.rasterize`; inputs are checked there. All pixels are drawn."""
     n = len(features)
-    statistics = ScreenStatistics(features.new_zeros(n), features.new_zeros(n, 2))
+    statistics = ScreenStatistics(features.new_empty(n), features.new_empty(n, 2))
     parts = Rasterize.apply(  # type: ignore[no-untyped-call]
         surfels.means,
         surfels.quats,
@@ -50,7 +52,12 @@ def rasterize(
         plan,
         statistics,
     )
-    return maps_of(parts, statistics, extra, normals)
+    kinds = len(parts) // SHARES
+    shares = [
+        maps_of(parts[k : k + kinds], statistics, extra, normals)
+        for k in range(0, len(parts), kinds)
+    ]
+    return replace(shares[0], others=tuple(shares[1:]))
 
 
 def _entries(by_surfel: Tensor, n: int) -> int:
@@ -104,16 +111,19 @@ class Rasterize(torch.autograd.Function):
         ctx.pose, ctx.statistics, ctx.absolute = tensors[5], statistics, absolute
         ctx.slot_width = sizes[4]
         none = planes[:0]
-        parts = [planes[:channels], planes[padded], planes[channels : channels + 3 * normals]]
-        parts += [planes[padded + i] if padded + i < count else none for i in (1, 2, 3)]
-        return tuple(p.permute(1, 2, 0) if p.ndim == 3 else p for p in parts)
+        out = []
+        for _ in range(SHARES):
+            parts = [planes[:channels], planes[padded], planes[channels : channels + 3 * normals]]
+            parts += [planes[padded + i] if padded + i < count else none for i in (1, 2, 3)]
+            out += [p.permute(1, 2, 0) if p.ndim == 3 else p for p in parts]
+        return tuple(out)
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor | None) -> tuple[Tensor | None, ...]:
         planes, moments, by_surfel, by_entry, *inputs = ctx.saved_tensors
         n, entries, width = ctx.shape[0], ctx.shape[-1], ctx.slot_width
         out = [torch.empty_like(t) for t in inputs]
-        v_pose = planes.new_zeros(3, 4)
+        v_pose = planes.new_empty(3, 4) if n else planes.new_zeros(3, 4)
         working = [
             planes.new_empty(entries, width),
             cuda.memory(entries, planes),

@@ -7,10 +7,12 @@ from torch import Tensor
 
 from refdgs_pipe.ops import addresses, cuda
 from refdgs_pipe.ops.definition.shade import covered_pixels as counted
+from refdgs_pipe.ops.gpu.elementwise import scaled
 from refdgs_pipe.ops.plan import Plan
 from refdgs_pipe.ops.scene import Pinhole
 
 AGREEMENT_BLOCK = 256  # pixels whose part of the sum is one
+SMOOTH_WIDE, SMOOTH_HIGH = 32, 8  # the same of smoothness: a tile
 
 
 def covered_pixels(alpha: Tensor, least: float, plan: Plan | None) -> Tensor:
@@ -72,7 +74,8 @@ class ShadingInputs(torch.autograd.Function):
     def backward(ctx: Any, *v: Tensor) -> tuple[Tensor | None, ...]:
         features, alpha, _, near, _ = ctx.saved_tensors
         widths = (features.shape[2], 1, 3, 4 if near is not None else 0)
-        grads = [alpha.new_zeros(width, *alpha.shape) for width in widths]
+        # one after the other, so that they are cleared in one go
+        grads = alpha.new_empty(sum(widths), *alpha.shape).split(widths)
         cuda.kernels("shading_inputs_bwd", alpha)(
             *ctx.head, [addresses.table(t) for t in v], addresses.each(grads)
         )
@@ -104,35 +107,21 @@ class Composite(torch.autograd.Function):
         head = ([*alpha.shape], len(pixels), *where)
         cuda.kernels("composite", alpha)(*head, addresses.of(planes))
         ctx.save_for_backward(diffuse, radiance, pixels, object_alpha, alpha, behind, backdrop)
-        ctx.head = head
+        ctx.head, ctx.same = head, object_alpha is alpha
         return planes.permute(1, 2, 0)
 
     @staticmethod
     def backward(ctx: Any, *v: Tensor) -> tuple[Tensor | None, ...]:
         _, radiance, _, _, alpha, behind, _ = ctx.saved_tensors
-        linear = radiance.new_empty(3, len(radiance))
-        v_object, v_alpha = alpha.new_empty(alpha.shape), alpha.new_empty(alpha.shape)
+        linear = radiance.new_empty(len(radiance), 3)
+        v_alpha = alpha.new_empty(alpha.shape)
+        v_object = v_alpha if ctx.same else alpha.new_empty(alpha.shape)
         cuda.kernels("composite_bwd", alpha)(
             *ctx.head, [addresses.image(v[0])], addresses.each((linear, v_object, v_alpha))
         )
         v_behind = None if behind is None else v[0]
-        return linear.T, linear.T, None, v_object, v_alpha, None, v_behind, None
-
-
-def normal_agreement(
-    normal: Tensor,
-    depth: Tensor,
-    alpha: Tensor,
-    camera: Pinhole,
-    edge: float,
-    weight: float,
-    threads: int,
-) -> Tensor:
-    """`ops.normal_agreement`; inputs are checked there."""
-    loss: Tensor = NormalAgreement.apply(  # type: ignore[no-untyped-call]
-        normal, depth, alpha, camera, edge
-    )
-    return weight * loss
+        others = (None if ctx.same else v_object, v_alpha)
+        return linear, linear, None, *others, None, v_behind, None
 
 
 class NormalAgreement(torch.autograd.Function):
@@ -140,15 +129,23 @@ class NormalAgreement(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, normal: Tensor, depth: Tensor, alpha: Tensor, camera: Pinhole, edge: float
+        ctx: Any,
+        normal: Tensor,
+        depth: Tensor,
+        alpha: Tensor,
+        camera: Pinhole,
+        edge: float,
+        weight: float,
+        whole: bool,
+        threads: int,
     ) -> Tensor:
         height, width = alpha.shape
-        scale = 1.0 / ((height - 2) * (width - 2))
+        scale = weight / ((height - 2) * (width - 2))
         grads: list[Tensor] = []
         if any(ctx.needs_input_grad):
             grads = [alpha.new_empty(channels, height, width) for channels in (3, 1, 1, 6)]
         blocks = -(-height * width // AGREEMENT_BLOCK)
-        parts, total = cuda.memory(blocks * alpha.itemsize, alpha), alpha.new_empty(1)
+        parts, total = alpha.new_empty(blocks), alpha.new_empty(()) if whole else None
         cuda.kernels("normal_agreement", alpha)(
             [height, width],
             addresses.lens_and_rotation(camera),
@@ -160,9 +157,43 @@ class NormalAgreement(torch.autograd.Function):
             addresses.each((parts, total)),
         )
         ctx.grads = grads[:3]
-        return total[0] * scale
+        return parts if total is None else total
 
     @staticmethod
     def backward(ctx: Any, *v: Tensor) -> tuple[Tensor | None, ...]:
-        v_normal, v_depth, v_alpha = (g * v[0] for g in ctx.grads)
-        return v_normal.permute(1, 2, 0), v_depth[0], v_alpha[0], None, None
+        v_normal, v_depth, v_alpha = (scaled(g, v[0]) for g in ctx.grads)
+        return v_normal.permute(1, 2, 0), v_depth[0], v_alpha[0], *[None] * 5
+
+
+class NormalSmoothness(torch.autograd.Function):
+    """The same with the gradient by the normal, the only one."""
+
+    @staticmethod
+    def forward(
+        ctx: Any,
+        normal: Tensor,
+        features: Tensor,
+        depth: Tensor,
+        alpha: Tensor,
+        object_alpha: Tensor,
+        shaded: float,
+        weight: float,
+        whole: bool,
+        threads: int,
+    ) -> Tensor:
+        height, width = alpha.shape
+        ctx.gradient = alpha.new_empty(3, height, width) if ctx.needs_input_grad[0] else None
+        tiles = -(-height // SMOOTH_HIGH) * -(-width // SMOOTH_WIDE)
+        parts, loss = alpha.new_empty(tiles), alpha.new_empty(()) if whole else None
+        cuda.kernels("normal_smoothness", alpha)(
+            [height, width],
+            [addresses.image(t) for t in (normal, features, depth, alpha, object_alpha)],
+            [shaded, weight / (height * (width - 1)), weight / ((height - 1) * width)],
+            addresses.of(ctx.gradient),
+            addresses.each((parts, loss)),
+        )
+        return parts if loss is None else loss
+
+    @staticmethod
+    def backward(ctx: Any, *v: Tensor) -> tuple[Tensor | None, ...]:
+        return scaled(ctx.gradient, v[0]).permute(1, 2, 0), *[None] * 8
