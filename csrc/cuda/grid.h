@@ -5,7 +5,8 @@
 //
 // Thread: block(), thread(), lane(), warp(); sync() of the block, sync_warp(); shuffle(v, lane) and
 // shuffle_xor(v, mask), ballot(p), any(p) of the warp; add_bits(p, v) and raise_bits(p, v), atomic on integers,
-// so that no result depends on an order, and fetch_add(p, v), whose answer does: what it orders must be sorted. Every lane of a warp must reach every exchange.
+// so that no result depends on an order, and fetch_add(p, v), whose answer does: what it orders must be sorted. Every
+// lane of a warp must reach every exchange.
 #pragma once
 #include <cstdint>
 #include <cstdlib>
