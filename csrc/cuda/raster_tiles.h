@@ -20,6 +20,13 @@
 
 namespace refdgs::cuda {
 
+// Registers are limited to what lets as many blocks reside as shared memory does, where that is large.
+#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ == 900
+constexpr bool kRoomy = true;
+#else
+constexpr bool kRoomy = false;
+#endif
+
 // Where a warp's lanes look.
 template <class S> struct Patch {
   int index, left, top, x, y;  // pixels
@@ -52,7 +59,7 @@ REFDGS_KERNEL void bring_records(Thread& t, const Drawing<S>& d, int surfel, int
 
 template <class S, int C, int X> struct DrawTiles {
   static constexpr int kThreads = 128, kWarps = kThreads / kWarp, kUsed = kDrawnHead + C;
-  static constexpr int kResident = (C <= 4 ? 10 : C <= 8 ? 9 : C <= 12 ? 7 : 5);
+  static constexpr int kResident = C <= 4 ? 8 + kRoomy : C <= 8 ? 7 + kRoomy : C <= 12 ? 5 + kRoomy : 4;
   struct Shared {
     alignas(4 * sizeof(S)) S records[kWarps][kWarp][kUsed];
   };
@@ -183,7 +190,7 @@ template <class S, int C, int X> struct Replayed {
 
 template <class S, int C, int X> struct DrawTilesBwd {
   static constexpr int kThreads = 128, kWarps = kThreads / kWarp, kUsed = kDrawnHead + C, kWidth = kGradHead + C;
-  static constexpr int kResident = C <= 4 && X == 0 ? 6 : C <= 8 ? 5 : 4;  // by shared memory; more would spill
+  static constexpr int kResident = !kRoomy ? 4 : C <= 4 && X == 0 ? 6 : C <= 8 ? 5 : 4;
   static constexpr int kChunk = C <= 16 ? 16 : 8, kBucket = 8;
   // A row of 8 pixels and one of nothing, so that the lanes of a surfel's rows meet other banks.
   static constexpr int kRow = kPatchW + 1, kPadded = kPatchH * kRow;

@@ -18,7 +18,7 @@ from refdgs_pipe.training.trainer import Trainer
 T = TypeVar("T")
 
 # Bytes, counted from the tensors that live at once in a step: torch and its kernels; maps, shading
-# and their gradients for a pixel; parameters, Adam, records and 8 entries of 150 for a surfel; a
+# and their gradients for a pixel; parameters, Adam, records and 10 entries of 120 for a surfel; a
 # number of the Sph-Mip map with Adam, mips and its gradient in whole numbers. Recorded steps have
 # pixels' and surfels' memory of their own.
 FIXED, PER_PIXEL, PER_SURFEL, PER_MAP_NUMBER = 700_000_000, 800, 2000, 32

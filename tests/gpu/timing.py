@@ -30,7 +30,7 @@ from refdgs_pipe.ops.gpu import mlp as network  # noqa: E402
 from refdgs_pipe.ops.gpu import rasterize as tiles  # noqa: E402
 
 WARM, REPEATS = 5, 20
-PAIRS = 50.0  # pixels of a tile that an entry is blended into, about
+PAIRS = 16.0  # pixels of a patch that an entry is blended into, about
 LARGER = 2.0  # than the parity's: some 20 surfels on a pixel of the object
 KERNEL = re.compile(r"enter<refdgs::cuda::(\w+)<float(?:, (?:\(int\))?(\d+), (?:\(int\))?(\d+))?")
 
@@ -95,7 +95,9 @@ def drawing(clock: Clock, n: int, side: int, channels: int, extra: str) -> list[
     # bytes and operations as the kernels' head comments have them
     planes, pairs = channels + (3 if extra == "depth" else 1), PAIRS * entries
     name = f"rasterise {n} surfels, {channels} channels, {side}x{side}, {entries} entries"
-    forward = n * (60 + 8 * channels + 4 * 32 + 160) + entries * 90 + pixels * 4 * planes
+    forward = (
+        n * (140 + 8 * channels + 64) + entries * (64 + 4 * (12 + channels)) + pixels * 4 * planes
+    )
     work = pairs * (60 + 2 * channels)
     backward = pixels * 8 * planes + entries * 8 * (12 + channels) + n * 8 * (32 + channels)
     total = sum(m.sum() for m in (maps.features, maps.alpha))

@@ -12,7 +12,7 @@ from refdgs_pipe.ops import Pinhole, Surfels, rasterize
 
 
 def crowd() -> Made:
-    """Several batches of 32 in a tile, and pixels that fill up within the first."""
+    """Several chunks in a patch, and pixels that fill up within the first."""
     surfels, features = scene(400, seed=4)
     opacities = 0.3 + 0.69 * surfels.opacities
     return Surfels(surfels.means * 0.4, surfels.quats, surfels.scales, opacities), features
@@ -43,6 +43,21 @@ def test_a_crowd_of_surfels_is_drawn_as_on_the_cpu() -> None:
 @pytest.mark.parametrize("order", ORDERS[1:])
 def test_the_order_of_threads_changes_nothing(order: int) -> None:
     both(crowd, camera(), order)
+
+
+@pytest.mark.parametrize("n", [150, 700, 2600])
+@pytest.mark.parametrize("order", ORDERS[1:])
+def test_lists_of_any_length_are_sorted(n: int, order: int) -> None:
+    """By a warp, by a block in shared memory and where they lie; the same depth by index."""
+
+    def make() -> Made:
+        surfels, features = scene(n, seed=5)
+        means = surfels.means * 0.05
+        means[::3] = means[:1]
+        opacities = 0.004 + 0.01 * surfels.opacities
+        return Surfels(means, surfels.quats, surfels.scales, opacities), features
+
+    both(make, camera(24, 20), order)
 
 
 @pytest.mark.parametrize("channels", [1, 4, 9, 13, 17])
@@ -96,6 +111,19 @@ def test_a_lens_on_the_device_is_the_camera() -> None:
         found.append([maps.features.detach(), *(getattr(s, n).grad for n in vars(s)), f.grad])
     for wanted, same, wrong in zip(*found, strict=True):
         assert torch.equal(same, wanted) and not torch.equal(wrong, wanted)
+
+
+def test_sums_of_absolute_values_can_be_left_out() -> None:
+    surfels, features = scene(60)
+    found = []
+    for absolute in (True, False):
+        s, f, v = leaves(surfels, features, camera())
+        with emulated():
+            maps = rasterize(s, f, v, extra="distortion", normals=True, absolute=absolute)
+            maps.features.sin().sum().backward()
+        found.append([maps.statistics.gradients[:, 0], s.means.grad, f.grad])
+        assert bool(maps.statistics.gradients[:, 1].any()) == absolute
+    assert all(torch.equal(one, other) for one, other in zip(*found, strict=True))
 
 
 def test_nothing_to_draw() -> None:
