@@ -76,8 +76,11 @@ template <class S> struct Activate {
     for (int c = 0; c < 2; ++c) in.scales[2 * i + c] = std::exp(in.log_scales[2 * i + c]);
     in.opacities[i] = sigmoid(in.raw_opacities[i]);
     S* to = in.carried + i * in.channels;
-    for (int k = 0; k < in.tables; ++k)
-      for (int c = 0; c < in.columns[k]; ++c) *to++ = curved(in.curve[k], in.raw[k][i * in.columns[k] + c]);
+    for (int k = 0; k < kTables; ++k) {  // as many times as there are tables at most, so that k is known to compilers
+      if (k >= in.tables) break;
+      const S* from = in.raw[k] + i * in.columns[k];
+      for (int c = 0; c < in.columns[k]; ++c) *to++ = curved(in.curve[k], from[c]);
+    }
   }
 };
 

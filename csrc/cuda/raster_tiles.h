@@ -131,22 +131,23 @@ template <class S, int C, int X> struct Replayed {
     for (int c = 0; c < C + 4; ++c) g[c] = 0;
     if (!inside) return;
     const int64_t plane = int64_t(d.cam.width) * d.cam.height, p = int64_t(py) * d.cam.width + px;
-    const auto read = [&](Plane kind, int c) {
-      S sum = 0;
-      for (int k = 0; k < kShares; ++k) {
-        const Image<S>& image = v[kind][k];
-        if (image.data) sum += image.data[py * image.row + px * image.column + c * image.channel];
-      }
-      return sum;
-    };
     const int features = d.surfels.channels;
-    for (int c = 0; c < C; ++c) {
-      if (c < features) g[c] = read(kFeatures, c);
-      else if (d.normals && c < features + 3) g[c] = read(kNormal, c - features);
+#if defined(__CUDACC__)
+#pragma unroll 1
+#endif
+    for (int k = 0; k < kShares; ++k) {
+      const auto read = [&](Plane kind, int c) {
+        const Image<S>& image = v[kind][k];
+        return image.data ? image.data[py * image.row + px * image.column + c * image.channel] : S(0);
+      };
+      for (int c = 0; c < C; ++c) {
+        if (c < features) g[c] += read(kFeatures, c);
+        else if (d.normals && c < features + 3) g[c] += read(kNormal, c - features);
+      }
+      g[C] += read(kAlpha, 0);
+      if (X >= 1) g[C + 1] += read(kDepth, 0), g[C + 2] += read(kMedian, 0);
+      if (X >= 2) g[C + 3] += read(kDistortion, 0);
     }
-    g[C] = read(kAlpha, 0);
-    if (X >= 1) g[C + 1] = read(kDepth, 0), g[C + 2] = read(kMedian, 0);
-    if (X >= 2) g[C + 3] = read(kDistortion, 0);
     for (int c = 0; c < C + (X >= 1 ? 2 : 1); ++c) R += d.maps[c * plane + p] * g[c];
     if (X >= 2) {
       R += 2 * d.maps[(C + 3) * plane + p] * g[C + 3];

@@ -9,7 +9,6 @@ void covered_pixels(const Queue& q, const CoveredCall<S>& call, void* scratch, i
   q.run(call.blocks() + 1, CountCovered<S>{call});
   q.scan(call.counts, call.blocks() + 1, scratch, size_t(bytes));
   q.run(call.blocks(), WriteCovered<S>{call});
-  q.run(blocks_for(call.room, PadCovered<S>::kThreads), PadCovered<S>{call});
 }
 
 template <class S, class Queue>

@@ -53,6 +53,7 @@ template <class S> struct CountCovered {
   }
 };
 
+// Then every thread writes its pixel where it is covered, and the place of its number in the list where none comes.
 template <class S> struct WriteCovered {
   static constexpr int kThreads = kCoveredThreads, kWarps = kThreads / kWarp;
   using Shared = typename CountCovered<S>::Shared;
@@ -65,22 +66,14 @@ template <class S> struct WriteCovered {
     t.sync();
     int64_t at = f.counts[t.block()] + bit_count(covered & ((1u << t.lane()) - 1));
     for (int w = 0; w < t.warp(); ++w) at += s.counts[w];
-    if (mine && at < f.room) f.pixels[at] = int64_t(t.block()) * kThreads + t.thread();
-  }
-};
-
-template <class S> struct PadCovered {
-  static constexpr int kThreads = 256;
-  using Shared = Nothing;
-  CoveredCall<S> f;
-
-  template <class Thread> REFDGS_KERNEL void operator()(Thread& t, Shared&) const {
     const int64_t i = int64_t(t.block()) * kThreads + t.thread(), needed = f.counts[f.blocks()];
+    if (mine && at < f.room) f.pixels[at] = i;
     if (i == 0) {
       *f.needed = needed;
       if (needed > f.room) *f.misfit = 1;
     }
-    if (i >= needed && i < f.room) f.pixels[i] = -1;
+    for (int64_t k = i; k < f.room; k += f.blocks() * kThreads)
+      if (k >= needed) f.pixels[k] = -1;
   }
 };
 

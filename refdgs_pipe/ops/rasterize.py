@@ -11,7 +11,7 @@ from refdgs_pipe.ops.cpu import rasterize as on_cpu
 from refdgs_pipe.ops.definition import rasterize as definition
 from refdgs_pipe.ops.gpu import rasterize as on_gpu
 from refdgs_pipe.ops.plan import Plan
-from refdgs_pipe.ops.registry import Operation
+from refdgs_pipe.ops.registry import Operation, backend_of
 from refdgs_pipe.ops.scene import Extra, Maps, Pinhole, Surfels
 
 MAX_CHANNELS = 20
@@ -26,7 +26,7 @@ def rasterize(
     *,
     extra: Extra = "none",
     normals: bool = False,
-    needed: Tensor | None = None,
+    needed: Tensor | Callable[[], Tensor] | None = None,
     absolute: bool = True,
     threads: int | None = None,
     plan: Plan | None = None,
@@ -42,7 +42,8 @@ def rasterize(
     Args:
         features: (N, C) what to blend; C <= 20, or 17 with normals.
         extra: which of the depth maps to make.
-        needed: (H, W) bool, pixels that will be looked at, or None for all. What the maps hold
+        needed: (H, W) bool, pixels that will be looked at, or what makes them where they are
+            asked for, or None for all. What the maps hold
             elsewhere is not defined, and a gradient from there counts for nothing: the CPU leaves
             these pixels empty, a GPU draws them.
         absolute: false: `ScreenStatistics` goes without the second of its gradients, which the CPU
@@ -55,6 +56,8 @@ def rasterize(
         DeviceError: the tensors are on a device that this build has no kernels for.
     """
     _check(surfels, features, camera, normals)
+    if callable(needed):
+        needed = None if backend_of(surfels.means) == "gpu" else needed()
     if needed is not None and (needed.dtype, tuple(needed.shape)) != (
         torch.bool,
         (camera.height, camera.width),

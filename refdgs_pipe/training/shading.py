@@ -170,8 +170,7 @@ def draw(
         object_alpha, behind = maps.features[..., inside_at], maps.features[..., inside_at + 1 :]
         composed = object_alpha
     assert maps.normal is not None
-    shaded = object_alpha.detach() > SHADED_ALPHA
-    near, local_statistics = _near_features(scene, camera, maps, shaded, plan)
+    near, local_statistics = _near_features(scene, camera, maps, object_alpha, plan)
     pixels = covered_pixels(object_alpha, SHADED_ALPHA, plan)
     limit = None if plan is None else plan.last()
     diffuse, roughness, reflected, cosine, near = shading_inputs(
@@ -214,12 +213,12 @@ def _shade(light: MovingLight, maps: Maps, pixels: Tensor, camera: Pinhole) -> T
 
 
 def _near_features(
-    scene: Scene, camera: Pinhole, maps: Maps, shaded: Tensor, plan: Plan | None
+    scene: Scene, camera: Pinhole, maps: Maps, alpha: Tensor, plan: Plan | None
 ) -> tuple[Tensor | None, ScreenStatistics | None]:
     """(H, W, 4) local reflection features, premultiplied: an empty pixel means no near light.
 
     Args:
-        shaded: (H, W) bool; other pixels are of no interest.
+        alpha: (H, W) of the object; pixels that are not shaded are of no interest.
     """
     if scene.shader is None or scene.shader.local == "none":
         return None, None
@@ -228,6 +227,11 @@ def _near_features(
     if scene.local is None or scene.local_features is None:
         return None, None
     local = rasterize(
-        scene.local, scene.local_features, camera, needed=shaded, absolute=False, plan=plan
+        scene.local,
+        scene.local_features,
+        camera,
+        needed=lambda: alpha.detach() > SHADED_ALPHA,
+        absolute=False,
+        plan=plan,
     )
     return local.features, local.statistics

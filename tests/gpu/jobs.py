@@ -147,6 +147,7 @@ def fused(*, small: bool) -> dict[str, Run]:
         "Adam": adam,
         "photo": _photo((29, 37) if small else (217, 333), g),
         "planned pixels": _planned(random),
+        "elementwise": _elementwise(random, points // 50),
         "shading": _shading((29, 37) if small else (217, 333), random),
     }
     return out | {f"image loss {w} x {h}": loss(h, w) for h, w in sizes}
@@ -203,6 +204,31 @@ def _planned(random: Callable[..., Tensor]) -> Run:
         return {"image": image}
 
     return _plain(inputs, shade)
+
+
+def _elementwise(random: Callable[..., Tensor], n: int) -> Run:
+    """What lies between the other operations, its losses as parts of one total."""
+    inputs = {"log scales": random(n, 2), "opacities": random(n), "image": random(n, 7)}
+    inputs |= {"diffuse": 8 * random(n, 3), "roughness": random(n), "features": random(n, 4)}
+    inputs |= {"radiance": random(n, 3)}
+    grad, light, radii = random(n, 3) - 0.5, random(n, 3), random(n) - 0.5
+    pixels = torch.arange(n)
+
+    def run(p: Named) -> Named:
+        tables = [("diffuse", p["diffuse"]), ("sigmoid", p["roughness"]), ("tanh", p["features"])]
+        parts = ops.activated(p["log scales"], p["opacities"], tables)
+        named = dict(zip(("scales", "opacity", "carried"), parts, strict=True))
+        like = p["image"]
+        terms = [
+            ops.image_mean(like, weight=0.3, divisor=0.01, whole=False),
+            ops.mirrored(p["radiance"], pixels.to(like.device), n, weight=2.0, whole=False),
+        ]
+        damped = ops.damped(*(t.to(like) for t in (grad, p["radiance"].detach(), light)), 0.5)
+        sums, seen, pull = (torch.ones(n).to(like), torch.ones(n).to(like), grad[:, :2].to(like))
+        ops.observe([(sums, seen, pull.contiguous(), radii.to(like))], scale=3.0)
+        return named | {"total": ops.total(terms), "damped": damped, "sums": sums, "seen": seen}
+
+    return _plain(inputs, run)
 
 
 def _without_tensor_cores(run: Run) -> Run:
