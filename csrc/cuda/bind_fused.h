@@ -23,8 +23,8 @@ template <class S, class Queue> void bind_image_loss(nb::module_& m, const std::
     nb::gil_scoped_release release;
     LossCall<S> call{int(shape[1]), int(shape[0]), int(shape[2]), image<S>(images[0]), image<S>(images[1]),
                      at<S>(constants[0]), at<S>(constants[1]), S(shares[2]), S(shares[0]), S(shares[1]), {},
-                     at<S>(outputs[0]), at<S>(outputs[1]), at<S>(outputs[2]), at<S>(outputs[3]), at<S>(outputs[4]), at<S>(outputs[5]),
-                     at<S>(outputs[6])};
+                     at<S>(outputs[0]), at<S>(outputs[1]), at<S>(outputs[2]), at<S>(outputs[3]), at<S>(outputs[4]),
+                     at<S>(outputs[5]), at<S>(outputs[6])};
     image_loss(Queue{at<void>(stream)}, call);
   });
 }

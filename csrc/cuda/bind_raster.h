@@ -61,8 +61,8 @@ template <class S, class Queue> void bind_raster(nanobind::module_& m, const std
     d.needed = at<int64_t>(plan[0]), d.misfit = at<float>(plan[1]);
     bin_and_draw(Queue{at<void>(stream)}, d, at<void>(scratch));
   });
-  // v_maps: of every kind, kShares times; working: slots, activity, sums, pose parts (or 0); out: the seven of SurfelGrads,
-  // the second of whose screen's gradients is 0 unless absolute.
+  // v_maps: of every kind, kShares times; working: slots, activity, sums, pose parts (or 0); out: the seven of
+  // SurfelGrads, the second of whose screen's gradients is 0 unless absolute.
   m.def(("raster_backward_" + type).c_str(), [](Address stream, Shape shape, Addresses in, Numbers camera, Address lens,
                                                 Address by_surfel, Address by_entry, Address maps, Address moments,
                                                 Images v_maps, Addresses working, Addresses out, bool absolute) {

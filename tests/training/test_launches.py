@@ -19,8 +19,8 @@ pytestmark = pytest.mark.usefixtures("coarse_start")
 
 # Operations that only describe memory, and the emulator's filling of it
 FREE = {
-    "_reshape_alias", "fill_", "_unsafe_view", "alias", "as_strided", "detach", "empty", "expand", "full",
-    "permute", "reshape", "select", "slice", "split", "split_with_sizes", "squeeze", "t",
+    "_reshape_alias", "_unsafe_view", "alias", "as_strided", "detach", "empty", "expand", "fill_",
+    "full", "permute", "reshape", "select", "slice", "split", "split_with_sizes", "squeeze", "t",
     "transpose", "unbind", "unsqueeze", "view",
     "_record_function_enter_new", "_record_function_exit",
 }  # fmt: skip
