@@ -197,7 +197,7 @@ def _planned(random: Callable[..., Tensor]) -> Run:
             p["features"], alpha, p["normal"], None, pixels, view
         )
         far = ops.sph_mip(p["map"], reflected, roughness, limit=limit)
-        x = torch.cat([far, roughness[:, None], cosine[:, None]], -1)
+        x = [far, roughness, cosine]
         weights, biases = [p["w0"], p["w1"]], [p["b0"], p["b1"]]
         radiance = ops.mlp(x, weights, biases, exp_cap=2.0, limit=limit)
         image = ops.composite(diffuse, radiance, pixels, alpha, alpha, backdrop.to(alpha))

@@ -12,6 +12,10 @@ CHECKS = ("memcheck", "racecheck", "initcheck", "synccheck", "replay")
 STEPS = ("build", "doctor", "headline", "parity", "timing", "graph", *CHECKS, "training")
 OPTIONAL = CHECKS  # a machine may not let a checker near its GPU
 
+REFUSALS = (
+    "Device not supported",
+    "StreamCaptureImplicit",
+)  # the latter: it cannot watch recordings
 IMPOSSIBLE, OUT_OF_TIME = "not possible on this machine", "out of time"
 
 
@@ -28,7 +32,7 @@ def read(folder: Path) -> dict[str, Any]:
         log = folder / f"{step}.said"
         text = log.read_text(errors="replace") if log.exists() else ""
         found["status"] = "ok" if code == "0" else OUT_OF_TIME if code == "124" else "failed"
-        refused = "SUMMARY" not in text or "Device not supported" in text
+        refused = "SUMMARY" not in text or any(words in text for words in REFUSALS)
         if step in OPTIONAL and code != "124" and refused:
             found["status"] = IMPOSSIBLE
         found["last words"] = text[-1500:]

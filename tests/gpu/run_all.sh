@@ -131,7 +131,9 @@ PYTHON
 checker() {
     local tool=$1 name=$2 only=()
     shift 2
-    compute-sanitizer --help 2>&1 | grep -q -- --kernel-regex && only=(--kernel-regex kns=refdgs)
+    for option in --kernel-regex --kernel-name; do # by its version
+        compute-sanitizer --help 2>&1 | grep -q -- $option && only=($option kns=refdgs)
+    done
     compute-sanitizer --tool "$tool" "${only[@]}" --error-exitcode 9 "$python" "$@" --out "$work/$name-of.json"
 }
 export emulator
