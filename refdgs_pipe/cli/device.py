@@ -4,6 +4,7 @@ import os
 import re
 from pathlib import Path
 
+from refdgs_pipe.cli.gpus import mig_problem, show_only
 from refdgs_pipe.errors import DeviceError, InputError
 
 DEVICES = ("auto", "cpu", "cuda")
@@ -25,19 +26,26 @@ def check_device(wanted: str) -> str:
 def choose_device(wanted: str) -> str:
     """ "cpu" or "cuda". With "auto" a GPU is used if it is there and both libraries can use it.
 
+    Args:
+        wanted: auto, cpu, cuda, or cuda:N for the GPU that nvidia-smi calls N: from then on this
+            process and those that it starts see no other.
+
     Raises:
         InputError: there is no such kind of device.
         DeviceError: "cuda" was asked for and cannot be used.
     """
-    if wanted not in DEVICES:
-        raise InputError(f"--device {wanted}: expected {', '.join(DEVICES)}")
-    if wanted == "cpu" or (wanted == "auto" and not has_driver()):
+    kind, colon, index = wanted.partition(":")
+    if kind not in DEVICES or (colon and (kind != "cuda" or not re.fullmatch(r"\d{1,4}", index))):
+        raise InputError(f"--device {wanted}: expected {', '.join(DEVICES)} or cuda:N")
+    if kind == "cpu" or (kind == "auto" and not has_driver()):
         return "cpu"
+    if index and has_driver():
+        show_only(int(index))
     problem = cuda_problem()
     if problem is None:
         return "cuda"
-    if wanted == "cuda":
-        raise DeviceError(f"--device cuda: {problem}. Or use --device cpu")
+    if kind == "cuda":
+        raise DeviceError(f"--device {wanted}: {problem}. Or use --device cpu")
     return "cpu"
 
 
@@ -73,7 +81,7 @@ def cuda_problem() -> str | None:
             "pip install torch --index-url https://download.pytorch.org/whl/cu130"
         )
     if not torch.cuda.is_available():
-        return (
+        return mig_problem() or (
             f"torch for CUDA {made_for} finds no GPU that the driver {driver_version()} lets it "
             "use. Update the driver, or install torch for an older CUDA"
         )
@@ -87,6 +95,12 @@ def cuda_problem() -> str | None:
         return (
             f"the native module was built for {described(_refdgs_native.cuda_archs)}, but the "
             f"{name} is sm_{major}{minor}. Build for it: REFDGS_CUDA_ARCHS={major}{minor} "
+            "pip install --force-reinstall --no-deps ."
+        )
+    if not _refdgs_native.cuda_device():
+        return (
+            f"the native module was built by a newer CUDA than the driver {driver_version()} can "
+            f"run. Update the driver, or put nvcc of CUDA {made_for} on the PATH and run: "
             "pip install --force-reinstall --no-deps ."
         )
     return None

@@ -16,6 +16,7 @@ import typer
 from refdgs_pipe import __version__
 from refdgs_pipe.child_process import call_in_child
 from refdgs_pipe.cli.device import core_count, cuda_problem, described, has_driver
+from refdgs_pipe.cli.gpus import LEAST_FREE
 from refdgs_pipe.cli.libraries import LIBRARIES, packages_for, try_to_load
 from refdgs_pipe.cli.options import Json
 from refdgs_pipe.documents import write_json_text
@@ -131,9 +132,20 @@ def _gpu() -> Finding:
     except ImportError as error:
         problem = str(error)
     if problem is None:
-        return Finding("GPU", True, "in use")
+        return Finding("GPU", True, *_free_memory())
     text, _, fix = problem.partition(". ")
     return Finding("GPU", False, text, fix)
+
+
+def _free_memory() -> tuple[str, str]:
+    """How much of the GPU's memory is free, and what to do where that is little."""
+    import torch
+
+    free, total = torch.cuda.mem_get_info()
+    text = f"in use, {size(free)} of {size(total)} of its memory free"
+    if free >= LEAST_FREE:
+        return text, ""
+    return text, "Little is free: runs lower resolution and surfels. Stop what else uses this GPU"
 
 
 def _cores() -> Finding:

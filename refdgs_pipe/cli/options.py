@@ -28,7 +28,8 @@ Assignments = Annotated[
 ]
 Json = Annotated[bool, typer.Option("--json", help="print one JSON object on stdout")]
 Device = Annotated[
-    str, typer.Option("--device", help="auto, cpu or cuda", autocompletion=completion.devices)
+    str,
+    typer.Option("--device", help="auto, cpu, cuda or cuda:N", autocompletion=completion.devices),
 ]
 Threads = Annotated[int, typer.Option("--threads", min=0, help="CPU threads; 0: every core")]
 Vram = Annotated[str, typer.Option("--vram", help="most GPU memory to use", metavar="8GB")]

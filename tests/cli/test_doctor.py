@@ -2,11 +2,12 @@
 
 import importlib
 import importlib.util
+import os
 from pathlib import Path
 
 import pytest
 
-from refdgs_pipe.cli import device, doctor, libraries
+from refdgs_pipe.cli import device, doctor, gpus, libraries
 from refdgs_pipe.errors import DeviceError, InputError
 
 
@@ -116,7 +117,64 @@ def test_a_driver_alone_does_not_make_a_gpu_usable(monkeypatch: pytest.MonkeyPat
     assert "REFDGS_CUDA_ARCHS=86" in problem
     assert device.choose_device("auto") == "cpu"
     monkeypatch.setattr(torch.cuda, "get_device_capability", lambda: (9, 0))
+    monkeypatch.setattr(native, "cuda_device", lambda: "")
+    assert "newer CUDA than the driver 470.82 can run" in str(device.cuda_problem())
+    monkeypatch.setattr(native, "cuda_device", lambda: "NVIDIA H200")
     assert device.cuda_problem() is None and device.choose_device("auto") == "cuda"
+
+
+@pytest.mark.parametrize(
+    ("modes", "listed", "told"),
+    [
+        ("Enabled\nDisabled\n", "", None),
+        ("[N/A]\n", "", None),
+        ("Enabled\n", "GPU 0: NVIDIA A100 (UUID: GPU-1)", "has no part. Make one"),
+        (
+            "Enabled\n",
+            "GPU 0: A100 (UUID: GPU-1)\n  MIG 1g.10gb Device 0: (UUID: MIG-ab-12)",
+            "no part is chosen. Choose one: CUDA_VISIBLE_DEVICES=MIG-ab-12",
+        ),
+    ],
+)
+def test_a_divided_gpu_is_explained(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, modes: str, listed: str, told: str | None
+) -> None:
+    program = tmp_path / "nvidia-smi"
+    program.write_text(f"#!/bin/sh\n[ \"$1\" = -L ] && echo '{listed}' || printf '{modes}'\n")
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
+    found = gpus.mig_problem()
+    assert found is None if told is None else told in str(found)
+    program.write_text("#!/bin/sh\nexit 9\n")
+    assert gpus.mig_problem() is None
+
+
+def test_one_gpu_of_several_is_chosen_by_its_number(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(device, "has_driver", lambda: True)
+    monkeypatch.setattr(device, "cuda_problem", lambda: None)
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "4,6")
+    monkeypatch.setenv("CUDA_DEVICE_ORDER", "PCI_BUS_ID")
+    gpus.show_only.cache_clear()
+    for wrong in ("cuda:", "cuda:x", "cuda:-1", "cpu:0", "auto:1"):
+        with pytest.raises(InputError, match=f"--device {wrong}: expected auto, cpu, cuda or"):
+            device.choose_device(wrong)
+    with pytest.raises(DeviceError, match=r"sees 2 GPUs, cuda:0 to cuda:1\. Choose"):
+        device.choose_device("cuda:2")
+    assert device.choose_device("cuda:1") == "cuda" and os.environ["CUDA_VISIBLE_DEVICES"] == "6"
+    assert device.choose_device("cuda:1") == "cuda" and os.environ["CUDA_VISIBLE_DEVICES"] == "6"
+    with pytest.raises(DeviceError, match=r"sees one GPU, cuda:0\. Choose"):
+        device.choose_device("cuda:3")
+    gpus.show_only.cache_clear()
+
+
+def test_little_free_memory_of_a_gpu_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    import torch
+
+    monkeypatch.setattr(doctor, "has_driver", lambda: True)
+    monkeypatch.setattr(doctor, "cuda_problem", lambda: None)
+    monkeypatch.setattr(torch.cuda, "mem_get_info", lambda: (10**9, 24 * 10**9))
+    found = doctor._gpu()
+    assert found.ok and "of 24" in found.text and found.fix.startswith("Little is free")
 
 
 def test_compiled_code_runs_within_its_generation_and_ptx_on_newer_ones() -> None:

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from refdgs_pipe.cli.batch.gpus import own_gpu, visible_gpus
+from refdgs_pipe.cli.batch.gpus import own_gpu
+from refdgs_pipe.cli.gpus import visible_gpus
 
 HOLD = (
     "import sys, pathlib\n"

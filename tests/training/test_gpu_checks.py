@@ -1,5 +1,6 @@
 """The checks for a GPU machine run here as far as they can: dry, and without what is not there."""
 
+import importlib
 import json
 import os
 import subprocess
@@ -167,6 +168,33 @@ def test_a_step_that_hangs_takes_no_other_step_s_record_along(tmp_path: Path, st
     files = sorted(path.name for path in out.iterdir())
     assert len(files) == 8 and {"report.md", "report.json"} < set(files)
     assert not [path for path in tmp_path.iterdir() if path not in (tools, out)]
+
+
+TOLD = """ptxas info    : 0 bytes gmem
+ptxas info    : Compiling entry function 'void refdgs::cuda::enter<refdgs::cuda::DrawTiles<float, 8, 2> >(refdgs::cuda::DrawTiles<float, 8, 2>)' for 'sm_90'
+ptxas info    : Function properties for void refdgs::cuda::enter<refdgs::cuda::DrawTiles<float, 8, 2> >
+    0 bytes stack frame, 0 bytes spill stores, 0 bytes spill loads
+ptxas info    : Used 64 registers, used 0 barriers, 10240 bytes smem, 752 bytes cmem[0]
+ptxas info    : Compiling entry function 'void refdgs::cuda::enter<refdgs::cuda::MlpForward<float, refdgs::cuda::MmaProduct> >(refdgs::cuda::MlpForward<float, refdgs::cuda::MmaProduct>)' for 'sm_80'
+    8 bytes stack frame, 4 bytes spill stores, 4 bytes spill loads
+ptxas info    : Used 83 registers, used 1 barriers, 368 bytes cmem[0]
+ptxas info    : Compiling entry function 'void cub::DeviceScan<int>(int)' for 'sm_90'
+    0 bytes stack frame, 0 bytes spill stores, 0 bytes spill loads
+ptxas info    : Used 9 registers
+"""  # noqa: E501
+
+
+def test_the_table_of_registers_has_every_kernel_of_ours(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(CHECKS))
+    registers = importlib.import_module("registers")
+    found = registers.uses(TOLD)
+    assert found == {
+        ("DrawTiles 8 2", 90): (64, 10240, 0),
+        ("MlpForward MmaProduct", 80): (83, 0, 16),
+    }
+    rows = registers.table(found)
+    assert "| DrawTiles 8 2 | - | - | - | 64 | - | - | 10,240 |" in rows
+    assert "| MlpForward MmaProduct | 83 | - | - | - | - | - | 0 |" in rows
 
 
 def test_the_script_is_sound() -> None:

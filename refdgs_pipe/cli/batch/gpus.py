@@ -1,7 +1,6 @@
 """One GPU for one job: an OS lock for each GPU of a machine, which ends with its process."""
 
 import os
-import re
 import stat
 import tempfile
 import time
@@ -9,22 +8,13 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from refdgs_pipe.cli.gpus import visible_gpus
 from refdgs_pipe.errors import InputError
 from refdgs_pipe.pipeline.atomic import disk_errors
 
 # schedulers that hand out devices themselves; there "0" is another GPU in every job
 _SCHEDULERS = ("SLURM_JOB_ID", "KUBERNETES_SERVICE_HOST")
 _PAUSE_S = 1.0
-
-
-def visible_gpus() -> list[str]:
-    """The GPUs that this process may use, as CUDA_VISIBLE_DEVICES names them."""
-    chosen = os.environ.get("CUDA_VISIBLE_DEVICES")
-    if chosen is not None:
-        names = [name.strip() for name in chosen.split(",")]
-        return [name for name in names if re.fullmatch(r"[\w-]+", name) and name != "-1"]
-    nodes = [path.name for path in Path("/dev").glob("nvidia*")]
-    return sorted(n.removeprefix("nvidia") for n in nodes if re.fullmatch(r"nvidia\d+", n))
 
 
 @contextmanager

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
-from refdgs_pipe.cli.batch.gpus import visible_gpus
 from refdgs_pipe.cli.batch.init import SNAKEFILE, profile_path
 from refdgs_pipe.cli.batch.parts import FOLDER, settle
 from refdgs_pipe.cli.batch.standing import Standing, describe, standings
 from refdgs_pipe.cli.batch.table import Batch
 from refdgs_pipe.cli.device import core_count, has_driver
+from refdgs_pipe.cli.gpus import visible_gpus
 from refdgs_pipe.cli.running import shared_by
 from refdgs_pipe.cli.signals import SIGNALS
 from refdgs_pipe.errors import Cancelled, InputError, Interrupted, WorkspaceBusy
