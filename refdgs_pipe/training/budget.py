@@ -18,10 +18,11 @@ from refdgs_pipe.training.trainer import Trainer
 T = TypeVar("T")
 
 # Bytes, counted from the tensors that live at once in a step: torch and its kernels; maps, shading
-# and their gradients for a pixel; parameters, Adam, records and 10 entries of 120 for a surfel; a
-# number of the Sph-Mip map with Adam, mips and its gradient in whole numbers. Recorded steps have
-# pixels' and surfels' memory of their own.
-FIXED, PER_PIXEL, PER_SURFEL, PER_MAP_NUMBER = 700_000_000, 800, 2000, 32
+# and their gradients for a pixel; parameters, Adam, records and room for entries of 85 to 130 for a
+# surfel (at 800 x 800 and 100,000 + 30,000 surfels: 16 entries each, local ones 46, and room for
+# half as many again); a number of the Sph-Mip map with Adam, mips and its gradient in whole
+# numbers. Recorded steps have pixels' and surfels' memory of their own.
+FIXED, PER_PIXEL, PER_SURFEL, PER_MAP_NUMBER = 700_000_000, 800, 5000, 32
 SPARE = 0.9  # share of the free memory that is planned with; the rest is lost between blocks
 LEAST_SIDE, LEAST_SURFELS = 256, 5000
 SMALLER_SIDE, FEWER_SURFELS = 0.85, 0.75
