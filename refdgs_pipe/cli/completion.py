@@ -13,7 +13,7 @@ DEVICES = {
     "auto": "a GPU if there is one that can be used",
     "cpu": "the processor",
     "cuda": "an NVIDIA GPU",
-    "cuda:0": "this GPU, by its number in nvidia-smi",
+    "cuda:0": "the NVIDIA GPU with this number in nvidia-smi",
 }
 
 

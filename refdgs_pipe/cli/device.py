@@ -27,8 +27,9 @@ def choose_device(wanted: str) -> str:
     """ "cpu" or "cuda". With "auto" a GPU is used if it is there and both libraries can use it.
 
     Args:
-        wanted: auto, cpu, cuda, or cuda:N for the GPU that nvidia-smi calls N: from then on this
-            process and those that it starts see no other.
+        wanted: auto, cpu, cuda, or cuda:N. N is a GPU's number in nvidia-smi, or its place in
+            CUDA_VISIBLE_DEVICES if that is set. From then on, this process and those that it
+            starts see no other GPU.
 
     Raises:
         InputError: there is no such kind of device.

@@ -141,11 +141,14 @@ def _free_memory() -> tuple[str, str]:
     """How much of the GPU's memory is free, and what to do where that is little."""
     import torch
 
-    free, total = torch.cuda.mem_get_info()
+    try:
+        free, total = torch.cuda.mem_get_info()
+    except RuntimeError as error:
+        return f"in use, its free memory is unknown: {_first_line(error)}", ""
     text = f"in use, {size(free)} of {size(total)} of its memory free"
     if free >= LEAST_FREE:
         return text, ""
-    return text, "Little is free: runs lower resolution and surfels. Stop what else uses this GPU"
+    return text, "Stop other programs on this GPU, or runs lower resolution or number of surfels"
 
 
 def _cores() -> Finding:

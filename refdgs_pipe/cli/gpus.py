@@ -25,10 +25,13 @@ def visible_gpus() -> list[str]:
 
 @cache
 def show_only(index: int) -> None:
-    """Let this process, and those that it starts, see one GPU, by its number in nvidia-smi.
+    """Let this process, and those that it starts, see one GPU. A second call changes nothing.
+
+    Args:
+        index: of `visible_gpus`.
 
     Raises:
-        DeviceError: there is no such GPU, or another one is in use already.
+        DeviceError: there is no such GPU, or this process has used one already.
     """
     names = visible_gpus()
     if index >= len(names):

@@ -32,13 +32,17 @@ _DAMPED = Operation("damped", definition.damped, definition.damped, on_gpu.dampe
 
 
 def total(terms: Sequence[Tensor]) -> Tensor:
-    """The sum of scalars and of what losses give where they are not asked for a whole; a scalar."""
+    """The sum of all terms; a scalar.
+
+    Args:
+        terms: scalars, and the parts (any number,) that losses give for `whole=False`.
+    """
     whole: Tensor = _TOTAL.kernel(terms[0])(*terms)
     return whole
 
 
 def descend(loss: Tensor) -> None:
-    """`loss.backward()`, whose operations know on a GPU that they have nothing to scale."""
+    """`loss.backward()`. On a GPU it saves the multiplication of kept gradients by 1."""
     unit = on_gpu.unit(loss) if backend_of(loss) == "gpu" else None
     loss.backward(unit)  # type: ignore[no-untyped-call]
 
@@ -61,7 +65,8 @@ def mirrored(
     """`weight` times the mean specular radiance of a picture, linear; a scalar.
 
     Args:
-        radiance: (P, 3) at `pixels` (P,); rows of no pixel (below 0) count for nothing.
+        radiance: (P, 3) at `pixels` (P,); rows of no pixel (below 0) count for nothing. On a GPU
+            the gradient of such rows has no meaning: give what comes before a `limit`.
         count: pixels of the picture.
         whole: false: on a GPU parts of it, for `total` and nothing else.
     """
@@ -93,7 +98,7 @@ def observe(sets: Sequence[Observed], *, scale: float, misfit: Tensor | None = N
         sets: of each the sum of gradients (N,) and the number of views that saw a surfel (N,),
             which change; and `ScreenStatistics` of this view: gradients (N, 2) and radii (N,).
         scale: of the first gradient.
-        misfit: () where it is 1 nothing changes.
+        misfit: () or None; if it is 1, nothing changes (see `Plan`).
     """
     if sets:
         with torch.no_grad():
@@ -101,6 +106,11 @@ def observe(sets: Sequence[Observed], *, scale: float, misfit: Tensor | None = N
 
 
 def damped(grad: Tensor, mirrored: Tensor, diffuse: Tensor, share: float) -> Tensor:
-    """(P, 3) `grad` times the share of mirrored in all light (P, 3), over `share`, at most 1."""
+    """(P, 3) `grad` times the share of mirrored light in all light, over `share`, at most 1.
+
+    Args:
+        grad: (P, 3); mirrored, diffuse: (P, 3) linear.
+        share: above 0; from this share of mirrored light on, the gradient stays as it is.
+    """
     out: Tensor = _DAMPED.kernel(grad)(grad, mirrored, diffuse, share)
     return out

@@ -42,10 +42,10 @@ def rasterize(
     Args:
         features: (N, C) what to blend; C <= 20, or 17 with normals.
         extra: which of the depth maps to make.
-        needed: (H, W) bool, pixels that will be looked at, or what makes them where they are
-            asked for, or None for all. What the maps hold
-            elsewhere is not defined, and a gradient from there counts for nothing: the CPU leaves
-            these pixels empty, a GPU draws them.
+        needed: (H, W) bool, pixels that will be looked at, or a function that makes them; None for
+            all. What the maps hold elsewhere is not defined, and a gradient from there counts for
+            nothing: the CPU leaves these pixels empty; a GPU draws them and does not call the
+            function.
         absolute: false: `ScreenStatistics` goes without the second of its gradients, which the CPU
             then leaves 0, for speed.
         threads: default torch's; of the CPU.

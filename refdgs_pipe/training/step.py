@@ -96,7 +96,10 @@ def take_step(
 def _terms(
     p: TrainParams, picture: Picture, photo: TrainingPhoto, pinhole: Pinhole, target: Tensor
 ) -> tuple[list[Tensor], Tensor]:
-    """What is minimised is their total; and the mean squared error of the picture."""
+    """The terms whose total is minimised, and the mean squared error of the picture.
+
+    Users of the maps take shares of them: 0 shading, 1 the composition, 2 normals, 3 the mask.
+    """
     maps, flat = picture.maps, picture.maps.share(2)
     valid = None if photo.valid is None else photo.valid.float()
     loss, error = image_loss_and_error(picture.image, target, weight=valid, ssim_share=p.ssim_share)

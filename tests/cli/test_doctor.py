@@ -174,7 +174,14 @@ def test_little_free_memory_of_a_gpu_is_told(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(doctor, "cuda_problem", lambda: None)
     monkeypatch.setattr(torch.cuda, "mem_get_info", lambda: (10**9, 24 * 10**9))
     found = doctor._gpu()
-    assert found.ok and "of 24" in found.text and found.fix.startswith("Little is free")
+    assert found.ok and "of 24" in found.text and found.fix.startswith("Stop other programs")
+
+    def full() -> None:
+        raise RuntimeError("CUDA error: out of memory\nmore")
+
+    monkeypatch.setattr(torch.cuda, "mem_get_info", full)
+    found = doctor._gpu()
+    assert found.ok and "unknown: CUDA error: out of memory" in found.text
 
 
 def test_compiled_code_runs_within_its_generation_and_ptx_on_newer_ones() -> None:

@@ -104,7 +104,7 @@ def kernels_of(trainer: Trainer) -> dict[str, Any]:
     spans = []
     for event in seen.events():
         length = event.time_range.end - event.time_range.start
-        if length <= 0 or "cuda" in event.name.lower()[:4]:
+        if length <= 0 or event.name.startswith(("cuda", "cuLaunch", "Activity Buffer")):
             continue
         spans.append((event.time_range.start, event.time_range.end))
         total[short(event.name)] += length

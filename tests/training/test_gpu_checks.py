@@ -85,6 +85,15 @@ def test_the_comparison_with_recorded_steps_runs_dry(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_the_headline_runs_dry(tmp_path: Path) -> None:
+    out = tmp_path / "headline.json"
+    few = ["--side", "48", "--surfels", "300", "--local", "100", "--steps", "2", "--warm", "1"]
+    run("headline.py", "--device", "cpu", *few, "--out", str(out))
+    record = json.loads(out.read_text())
+    assert record["ok"] and record["surfels"] == [300, 100] and record["of"] == 2
+
+
+@pytest.mark.slow
 def test_parity_and_timing_run_dry(tmp_path: Path) -> None:
     pytest.importorskip("_refdgs_emulated")
     for name in ("parity", "timing"):
