@@ -4,10 +4,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import torch
+
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.start import Start
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.training.initial import Hull, closed_hull, object_hull
+from refdgs_pipe.training.inside import see_inside
 from refdgs_pipe.training.look import look
 from refdgs_pipe.training.photos import TrainingPhoto, load_training_photos
 from refdgs_pipe.training.settings import StartParams
@@ -84,7 +87,8 @@ def _solid(
 ) -> tuple[Hull | None, str]:
     """The object within its masks, and what was found out of its level top, in words.
 
-    It is a vessel if that explains photos better than its lid. The bulge on a flat mirror is gone.
+    It is a vessel if photos see through its lid, or if that explains them better. The bulge on a
+    flat mirror is gone.
     """
     if params.masked == "ball" or any(photo.mask is None for photo in photos):
         return None, ""
@@ -103,8 +107,11 @@ def _solid(
     if plateau is not None and misfit is not None and misfit < A_MIRROR:
         flat = replace(hull, cells=(hull.cells | mouth.hollow) & ~plateau.bulge)
         return flat, f"a flat mirror, misfit {misfit:.2f}"
+    told = "" if misfit is None else f", misfit as a flat mirror {misfit:.2f}"
+    seen = see_inside(model, photos, closed, mouth, torch.get_num_threads(), progress)
+    if seen is not None and seen.opens:
+        return replace(hull, cells=hull.cells & seen.vessel.cells), seen.words + told
     trial = tried(params, model, photos, hull, mouth, near=near, progress=progress)
     if trial is None:
         return hull, ""
-    told = "" if misfit is None else f", misfit as a flat mirror {misfit:.2f}"
     return (mouth.vessel if trial.opens else hull), trial.words + told

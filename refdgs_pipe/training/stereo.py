@@ -51,6 +51,25 @@ class Surface:
     seen: list[Bools]
 
 
+@dataclass(frozen=True, eq=False)
+class DepthMap:
+    """The depth that a photo shares with its neighbours.
+
+    Args:
+        camera: of the small photo.
+        depth: (H, W) along the camera's axis; 0 where there is none.
+        good: (H, W) where neighbours find the same.
+    """
+
+    camera: Camera
+    depth: F32
+    good: Bools
+
+    def points(self) -> F64:
+        """(H, W, 3) what the pixels show, world."""
+        return _places(self.camera, self.depth)
+
+
 @dataclass(frozen=True)
 class _Sight:
     """A photo as it is compared: brightness (H, W) in [0, 1], where it shows anything (H, W)."""
@@ -81,29 +100,57 @@ def agreed_surface(
         threads: photos that are worked on at a time; the result does not depend on it.
         progress: told the photos done and their number; may raise.
     """
-    small = [shrunk(p, min(1.0, SIDE / max(p.camera.width, p.camera.height))) for p in photos]
-    sights = [_sight(photo) for photo in small]
-    near = _neighbours([sight.camera for sight in sights], model.ball.center)
+    maps = depth_maps(
+        photos, model.ball.center, lambda camera: _limits(camera, model), threads, progress
+    )
+    parts, seen = [], []
+    for found, photo in zip(maps, photos, strict=True):
+        places, good = found.points(), found.good
+        color = small(photo).rgb.permute(1, 2, 0).numpy()[good] / 255.0
+        parts.append((places[good], _normals(places, found.camera)[good], color))
+        seen.append(good)
+    points, normals, colors = (np.concatenate([part[k] for part in parts]) for k in range(3))
+    return Surface(points, normals, colors, seen)
+
+
+def depth_maps(
+    photos: list[TrainingPhoto],
+    center: F64,
+    limits: Callable[[Camera], tuple[float, float]],
+    threads: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[DepthMap]:
+    """The depths of small photos, and where neighbours find the same.
+
+    Args:
+        photos: on the CPU.
+        center: (3,) what the photos show, world; neighbours are chosen by the angle there.
+        limits: the nearest and the farthest depth for a small photo's camera, world units.
+        threads, progress: as for `agreed_surface`.
+    """
+    sights = [_sight(small(photo)) for photo in photos]
+    near = _neighbours([sight.camera for sight in sights], center)
     depths: list[F32] = []
 
     def depth(i: int) -> F32:
-        limits = _limits(sights[i].camera, model)
-        return _depth(sights[i], [sights[j] for j in near[i]], limits)
+        return _depth(sights[i], [sights[j] for j in near[i]], limits(sights[i].camera))
 
     with ThreadPoolExecutor(max(1, threads)) as pool:
         for found in pool.map(depth, range(len(sights))):
             depths.append(found)
             if progress is not None:
                 progress(len(depths), len(sights))
-    parts, seen = [], []
-    for i, (sight, photo) in enumerate(zip(sights, small, strict=True)):
+    maps = []
+    for i, sight in enumerate(sights):
         places = _places(sight.camera, depths[i])
         good = _confirmed(places, depths[i] > 0, [(sights[j], depths[j]) for j in near[i]])
-        color = photo.rgb.permute(1, 2, 0).numpy()[good] / 255.0
-        parts.append((places[good], _normals(places, sight.camera)[good], color))
-        seen.append(good)
-    points, normals, colors = (np.concatenate([part[k] for part in parts]) for k in range(3))
-    return Surface(points, normals, colors, seen)
+        maps.append(DepthMap(sight.camera, depths[i], good))
+    return maps
+
+
+def small(photo: TrainingPhoto) -> TrainingPhoto:
+    """The photo as large as it is compared."""
+    return shrunk(photo, min(1.0, SIDE / max(photo.camera.width, photo.camera.height)))
 
 
 def thinned(surface: Surface, which: Bools, count: int) -> tuple[F64, F64, F64]:

@@ -232,6 +232,14 @@ def _glimpse(photo: TrainingPhoto) -> Glimpse:
     return Glimpse(photo.camera, color, (photo.mask.numpy() > 127).astype(np.float32))
 
 
+def looking_in(photos: Sequence[TrainingPhoto], mouth: Mouth, up: F64) -> NDArray[np.int64]:
+    """The numbers of the photos that look into a mouth; none if they are fewer than FEWEST."""
+    towards = np.stack([photo.camera.center for photo in photos]) - mouth.lid.mean(0)
+    sine = towards @ up / np.linalg.norm(towards, axis=1)
+    looks = np.flatnonzero(sine > LOOKS_IN)
+    return looks if len(looks) >= FEWEST else looks[:0]
+
+
 def tried(
     params: StartParams,
     model: SparseModel,
@@ -250,11 +258,8 @@ def tried(
         near: depth before which nothing is drawn, world units.
         progress: told the steps done and their number; may raise.
     """
-    middle = mouth.lid.mean(0)
-    towards = np.stack([photo.camera.center for photo in photos]) - middle
-    sine = towards @ model.up / np.linalg.norm(towards, axis=1)
-    looks = np.flatnonzero(sine > LOOKS_IN)
-    if len(looks) < FEWEST:
+    looks = looking_in(photos, mouth, model.up)
+    if not len(looks):
         return None
     held = set(looks[EACH // 2 :: EACH].tolist())
     small = [shrunk(p, SIDE / max(p.camera.width, p.camera.height)) for p in photos]
@@ -293,14 +298,14 @@ def _explained(
         with torch.no_grad():
             picture = draw(field.scene(photo.pinhole, 1.0), photo.pinhole, torch.zeros(3)).image
         assert photo.mask is not None
-        there = torch.from_numpy(_shown(photo.camera, lid)) & (photo.mask > 127)
+        there = torch.from_numpy(shown(photo.camera, lid)) & (photo.mask > 127)
         wanted = photo.rgb.permute(1, 2, 0).float() / 255
         apart = (picture.clamp(0, 1) - wanted)[there].square().mean(-1)
         missed, count = missed + float(apart.sum()), count + int(there.sum())
     return -10 * float(np.log10(max(missed / max(count, 1), 1e-9)))
 
 
-def _shown(camera: Camera, points: F64) -> Bools:
+def shown(camera: Camera, points: F64) -> Bools:
     """(H, W) where a camera shows points (N, 3), without gaps between them."""
     uv, depth = camera.project(points)
     use = (depth > 0) & (uv >= 0).all(1) & (uv < (camera.width, camera.height)).all(1)
