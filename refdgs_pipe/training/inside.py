@@ -2,7 +2,8 @@
 
 Photos from all sides do not agree on the colour of a polished inside, but photos from nearly one
 direction do: reflections change little from one to the next. So the inside shows in the depths
-that neighbours share. They also say how deep the vessel is, and what its floor looks like.
+that neighbours share. Single depths are wrong where reflections do move. But most of those of one
+height say whether it lies above the floor, so they tell how deep the vessel is.
 """
 
 from collections.abc import Callable
@@ -11,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, distance_transform_edt, gaussian_filter, label
+from scipy.ndimage import distance_transform_edt
 
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.camera import F64, Camera
@@ -23,19 +24,17 @@ from refdgs_pipe.training.stereo import DepthMap, depth_maps, small
 from refdgs_pipe.training.vessels import Mouth, looking_in, shown
 
 Bools = NDArray[np.bool_]
-F32 = NDArray[np.float32]
 Ints = NDArray[np.int64]
 
-SAME = 1.0  # cells between a place and a depth that says that there is a surface
-ROUND = 4  # cells round the hollow in which depths are asked
+SAME = 1.0  # cells between a place and what is behind it, to be seen through
 FREE = 2  # photos that have to see through a cell
 MARGIN = 6  # pixels round the mouth that are compared as well
-THIN = 1.5  # cells from the outside that stay
-BLURS, ENOUGH = (2.0, 4.0, 8.0), 0.2  # cells over which votes are taken together; least votes
 RIM = 0.05  # quantile of a lid's height that is its rim's: silhouettes bulge inside of it
 LAYER = 1.5, 4.5  # cells below the rim, where an open mouth is empty
 THROUGH = 0.33  # of the cells there, that photos see through, at least
-RATHER = 2.5  # photos that see through such a cell, for each that sees a surface there or before
+RATHER = 2.5  # photos that see through such a cell, for each that does not
+CORE = 3.0  # cells from the walls of the hollow, where its floor is looked for
+ENOUGH = 30  # photos that tell of the cells of one layer, all together
 
 
 @dataclass(frozen=True)
@@ -44,8 +43,8 @@ class Inside:
 
     Args:
         through: share of the cells a little below the rim that photos see through.
-        rather: photos that see through them, for each that sees a surface there or before them.
-        vessel: the hull without what photos look through, and without what they see nothing of.
+        rather: photos that see through them, for each that does not.
+        vessel: the hull with walls of even thickness, and the floor that photos see.
     """
 
     through: float
@@ -90,50 +89,37 @@ def see_inside(
     around = Surroundings(model, ground=True)
     maps = depth_maps(chosen, hull.ball.center, limits, threads, progress)
     maps = [_above(found, mouth.lid, around) for found in maps]
-    lid = np.zeros_like(hull.cells)
-    places = (mouth.lid - hull.ball.center - hull.ticks[0]) / hull.cell
-    lid[tuple(np.rint(places).astype(np.int64).T)] = True
-    asked = hull.cells & binary_dilation(mouth.hollow | lid, iterations=ROUND)
-    votes = np.zeros((3, *lid.shape), np.float32)
-    points = hull.ball.center + hull.ticks[np.argwhere(asked)]
-    votes[:, asked] = _votes(maps, points, SAME * hull.cell)
-    free, filled = votes[0], votes[1] + votes[2]
-    layer = mouth.hollow & _below_rim(hull, mouth.lid, model.up)
+    asked = np.argwhere(mouth.hollow)
+    places = hull.ball.center + hull.ticks[asked]
+    free, filled = _votes(maps, places, SAME * hull.cell)
+    under = (float(np.quantile(mouth.lid @ model.up, RIM)) - places @ model.up) / hull.cell
+    layer = (under > LAYER[0]) & (under < LAYER[1])
     if not layer.any():
         return None
     through = float(((free >= FREE) & (free >= filled))[layer].mean())
-    rather = float(free[layer].sum() / max(1.0, float(filled[layer].sum())))
-    empty = _majority(free, filled) & ~hull.on_ground(around)
-    vessel = replace(hull, cells=_emptied(hull.cells, empty, lid))
+    rather = float(free[layer].sum() / max(1, filled[layer].sum()))
+    core = (distance_transform_edt(mouth.hollow) > CORE)[tuple(asked.T)]
+    above = under < _floor(under[core], free[core], filled[core])
+    gone = np.zeros_like(hull.cells)
+    gone[tuple(asked[above].T)] = True
+    vessel = replace(hull, cells=hull.cells & ~(gone & ~hull.on_ground(around)))
     return Inside(through, rather, vessel)
 
 
-def _below_rim(hull: Hull, lid: F64, up: F64) -> Bools:
-    """(n, n, n) the cells a little lower than a mouth's rim, where silhouettes are right."""
-    x, y, z = np.meshgrid(*hull.axes(), indexing="ij")
-    under = float(np.quantile(lid @ up, RIM)) - (x * up[0] + y * up[1] + z * up[2])
-    return np.asarray((under > LAYER[0] * hull.cell) & (under < LAYER[1] * hull.cell))
+def _floor(under: F64, free: Ints, filled: Ints) -> float:
+    """How many cells below the rim a vessel's floor lies; infinity where photos do not tell.
 
-
-def _emptied(cells: Bools, empty: Bools, lid: Bools) -> Bools:
-    """A solid without what is empty below its lid. Its walls stay, and loose parts of it go."""
-    walls = distance_transform_edt(cells | binary_dilation(lid, iterations=ROUND)) <= THIN
-    parts, _ = label((empty & cells & ~walls) | lid)
-    reached = np.isin(parts, np.unique(parts[lid]))
-    left, _ = label(cells & ~(reached & empty & ~walls))
-    return np.asarray(left == 1 + int(np.bincount(left.ravel())[1:].argmax()))
-
-
-def _majority(yes: F32, no: F32) -> Bools:
-    """(n, n, n) where more votes are for than against; cells without votes follow those around."""
-    share = np.zeros_like(yes)
-    known = np.zeros(yes.shape, bool)
-    for sigma in BLURS:
-        one, other = gaussian_filter(yes, sigma), gaussian_filter(no, sigma)
-        here = ~known & (one + other > ENOUGH)
-        share[here] = (one / np.maximum(one + other, ENOUGH))[here]
-        known |= here
-    return np.asarray(share > 0.5)
+    Args:
+        under: (N,) cells below the rim, of places in the middle of the hollow.
+        free, filled: (N,) photos that see through them, and those that do not.
+    """
+    layers = np.floor(under).astype(np.int64)
+    for layer in range(max(0, int(layers.min(initial=0))), int(layers.max(initial=-1)) + 1):
+        at = layers == layer
+        votes = int(free[at].sum() + filled[at].sum())
+        if votes >= ENOUGH and free[at].sum() < 0.5 * votes:
+            return float(layer)
+    return np.inf
 
 
 def _part(photo: TrainingPhoto, lid: F64) -> TrainingPhoto | None:
@@ -161,17 +147,20 @@ def _above(found: DepthMap, lid: F64, around: Surroundings) -> DepthMap:
     return replace(found, good=found.good & high & shown(found.camera, lid))
 
 
-def _votes(maps: list[DepthMap], places: F64, same: float) -> tuple[Ints, Ints, Ints]:
-    """For places (N, 3): photos that see something behind them, at them and before them."""
-    counts = np.zeros((3, len(places)), np.int64)
+def _votes(maps: list[DepthMap], places: F64, same: float) -> tuple[Ints, Ints]:
+    """For places (N, 3): photos that see something behind them, and those that see none there.
+
+    Args:
+        same: world units; what is no farther behind a place is taken for a surface there.
+    """
+    free, filled = np.zeros((2, len(places)), np.int64)
     for seen in maps:
         uv, z = seen.camera.project(places)
         size = (seen.camera.width, seen.camera.height)
         within = (z > 0) & (uv >= 0).all(1) & (uv < size).all(1)
         column, row = np.where(within[:, None], uv, 0).astype(np.int64).T
         within &= seen.good[row, column]
-        farther = seen.depth[row, column] - z
-        counts[0] += within & (farther > same)
-        counts[1] += within & (np.abs(farther) <= same)
-        counts[2] += within & (farther < -same)
-    return counts[0], counts[1], counts[2]
+        behind = seen.depth[row, column] - z > same
+        free += within & behind
+        filled += within & ~behind
+    return free, filled

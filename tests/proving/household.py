@@ -37,6 +37,18 @@ def skillet() -> Objects:
     ]
 
 
+def cup() -> Objects:
+    """A cup of satin copper, bright inside, with a handle of polished brass."""
+    outside = [(1e-4, 0.0), (0.3, 0.0), (0.34, 0.05), (0.42, 0.68), (0.43, 0.7)]
+    inside = [(0.43, 0.7), (0.405, 0.69), (0.32, 0.06), (1e-4, 0.05)]
+    handle = _tube([(0.4, 0, 0.56), (0.66, 0, 0.52), (0.66, 0, 0.2), (0.36, 0, 0.14)], 0.035, 0.6)
+    return [
+        obj("outside", _turned(outside, 0.02), type="metal", preset="Cu", alpha=0.12),
+        obj("inside", _turned(inside, 0.01), type="metal", preset="Al", alpha=0.18),
+        obj("handle", handle, type="metal", preset="Au", alpha=0.06),
+    ]
+
+
 def camera() -> Objects:
     """A camera: leather body, polished top plate with dials, a black lens with coated glass."""
     u, v = uvgrid(512)
@@ -151,7 +163,7 @@ def plate() -> Objects:
     ]
     rim = [(0.835, 0.172), (0.85, 0.182), (0.87, 0.165), (0.862, 0.15)]
     return [
-        obj("dish", _turned(dish, 0.012), type="glaze", base=white, alpha=0.05),
+        obj("dish", _turned(dish[::-1], 0.012), type="glaze", base=white, alpha=0.05),
         obj("rim", _turned(rim, 0.004), type="metal", preset="Au", alpha=0.06),
         obj(
             "apple",
