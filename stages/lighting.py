@@ -9,7 +9,7 @@ from refdgs_pipe.lighting.settings import LightingParams
 from refdgs_pipe.pipeline.stage import Job, stage
 
 
-@stage(version=1, programs=("opencv-contrib-python-headless",))
+@stage(version=2, programs=("opencv-contrib-python-headless",))
 def lighting(views: Views, model: SparseModel, params: LightingParams, job: Job) -> Lighting:
     """Tell light that stands still from a turntable's and a flash's."""
     from refdgs_pipe.lighting.decide import decide, gather
@@ -32,4 +32,6 @@ def lighting(views: Views, model: SparseModel, params: LightingParams, job: Job)
     job.measure("background that stands still", round(evidence.still, 3), "share of its texture")
     if evidence.slope is not None:
         job.measure("ground darkens away from the camera", round(evidence.slope, 3), "1: by a lamp")
+    if evidence.explained is not None:
+        job.measure("ground's changes that a lamp explains", round(evidence.explained, 3), "share")
     return found

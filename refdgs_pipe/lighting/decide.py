@@ -27,7 +27,8 @@ LONGEST = 320  # pixels of the photos that are looked at
 IN_RINGS = 0.7  # share of the photos in rings, from which a turntable is possible
 STILL_SHARE = 0.25  # of the textured background that stands still, from which it is one
 OF_A_LAMP = 0.25  # slope from which the ground is lit by a lamp on the camera
-OF_A_FIRED_LAMP = 0.12  # and if EXIF says that the flash fired
+OF_A_WEAK_LAMP = 0.12  # and if EXIF says that the flash fired, or a lamp explains the ground
+EXPLAINED = 0.2  # share of the ground's changes that a lamp explains
 FIRED = 0.5  # share of the photos whose flash fired
 ROOM = {"flash": 0.1, "world+flash": 0.5}  # share of the room's light to begin with
 NEAR_GROUND = 0.01  # ball radii
@@ -41,7 +42,7 @@ class Evidence:
     Args:
         rings: of the cameras; None without any.
         still: share of the textured background that stands still.
-        ground: what was seen of the ground; None without one. slope: of `falloff`.
+        ground: what was seen of the ground; None without one. slope, explained: of `falloff`.
         fired: share of the photos whose flash fired by EXIF; None where none says so or not.
     """
 
@@ -49,6 +50,7 @@ class Evidence:
     still: float
     ground: Ground | None
     slope: float | None
+    explained: float | None
     fired: float | None
 
 
@@ -70,7 +72,7 @@ def gather(
     fired = float(np.mean(known)) if known else None
     rings = find_rings(model.cameras, model.ball.center, model.up)
     if views.background != "photo":  # nothing but the object is there
-        return Evidence(rings, 0.0, None, None, fired)
+        return Evidence(rings, 0.0, None, None, None, fired)
     may_turn = rings is not None and rings.share >= IN_RINGS
     greys, seen, cameras = {}, {}, {}
     on_ground, points = _on_ground(model, plane), model.points
@@ -90,8 +92,8 @@ def gather(
     if rings is not None and may_turn:
         still = _stillness(rings, model, greys, cameras)
     ground = None if plane is None else Ground.of(seen, cameras, points, plane[0])
-    slope = None if ground is None else falloff(ground)
-    return Evidence(rings, still, ground, slope, fired)
+    slope, explained = (None, None) if ground is None else falloff(ground)
+    return Evidence(rings, still, ground, slope, explained, fired)
 
 
 def decide(found: Evidence, model: SparseModel, kind: str) -> Lighting:
@@ -121,7 +123,8 @@ def decide(found: Evidence, model: SparseModel, kind: str) -> Lighting:
             return _flash(found, model, "EXIF says that the flash fired")
         return Lighting("world", "nothing says that it moves")
     lamp = f"the ground darkens away from the camera by {found.slope:.0%} of what a lamp there does"
-    if found.slope >= (OF_A_FIRED_LAMP if fired else OF_A_LAMP):
+    explains = found.explained is not None and found.explained >= EXPLAINED
+    if found.slope >= (OF_A_WEAK_LAMP if fired or explains else OF_A_LAMP):
         reason = f"{lamp}, and EXIF says that the flash fired" if fired else lamp
         return _flash(found, model, reason)
     if fired:

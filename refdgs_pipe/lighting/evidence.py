@@ -12,6 +12,7 @@ from refdgs_pipe.color import linear_from_srgb
 F32 = NDArray[np.float32]
 STILL = 0.012  # sRGB: a pixel of a still background differs less from the median photo
 TEXTURE = 0.03  # sRGB from pixel to pixel: a steeper background would show that it moves
+_LIT = 0.1  # sRGB: darker pixels do not tell the exposure
 AROUND = 1.05  # ball radii: what is farther from the ball's centre is background
 _DARK, _BRIGHT = 0.02, 0.9  # linear radiance that is neither noise nor clipped
 _FEWEST = 300  # observations of the ground
@@ -34,10 +35,10 @@ def still_share(photos: list[F32], cameras: list[Camera], center: F64, radius: f
     Returns:
         0 where the background has no texture that could tell.
     """
-    stack = np.stack(photos)
+    outside = _outside(cameras[0], center, radius)
+    stack = _equally_exposed(np.stack(photos), outside)
     median = np.median(stack, axis=0)
     slope = np.maximum(*(np.abs(d) for d in np.gradient(median)))
-    outside = _outside(cameras[0], center, radius)
     # how much every photo varies by itself says where a background could have moved at all
     varied = np.mean([np.maximum(*(np.abs(d) for d in np.gradient(p))) for p in photos], axis=0)
     textured = outside & (varied > TEXTURE)
@@ -46,6 +47,16 @@ def still_share(photos: list[F32], cameras: list[Camera], center: F64, radius: f
     apart = np.median(np.abs(stack - median), axis=0)
     still = textured & (apart < STILL) & (slope > TEXTURE / 2)
     return float(still.sum() / textured.sum())
+
+
+def _equally_exposed(stack: F32, outside: NDArray[np.bool_]) -> F32:
+    """(N, H, W) photos, each multiplied so that its background is as bright as the median's."""
+    median = np.median(stack, axis=0)
+    lit = outside & (median > _LIT)
+    if not lit.any():
+        return stack
+    gains = np.median(stack[:, lit] / median[lit], axis=1)
+    return np.asarray(stack / np.maximum(gains, _LIT)[:, None, None], np.float32)
 
 
 def _outside(camera: Camera, center: F64, radius: float) -> NDArray[np.bool_]:
@@ -132,9 +143,16 @@ class Ground:
         return slope, float(np.median(missed))
 
 
-def falloff(ground: Ground) -> float:
-    """How closely the ground follows a lamp at the lens: 1 does, 0 does not."""
-    return ground.slope_of(ground.received(np.zeros(3), 1.0, 0.0))[0]
+def falloff(ground: Ground) -> tuple[float, float]:
+    """How closely the ground follows a lamp at the lens, and how much that explains.
+
+    Returns:
+        The slope: 1 follows the lamp, 0 does not. And the share of the ground's changes that is
+        gone with the lamp: noise and what else changes stay, so it tells a weak lamp from chance.
+    """
+    slope, left = ground.slope_of(ground.received(np.zeros(3), 1.0, 0.0))
+    changes = ground.slope_of(np.zeros(len(ground.point)))[1]
+    return slope, 1 - left / max(changes, 1e-9)
 
 
 def placed_lamp(ground: Ground, distance: float) -> tuple[F64, float]:

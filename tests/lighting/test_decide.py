@@ -23,10 +23,11 @@ def kind(
     turns: bool = False,
     still: float = 0.0,
     slope: float | None = None,
+    explained: float | None = None,
     fired: float | None = None,
     wanted: str = "auto",
 ) -> str:
-    evidence = Evidence(rings() if turns else None, still, None, slope, fired)
+    evidence = Evidence(rings() if turns else None, still, None, slope, explained, fired)
     return decide(evidence, MODEL, wanted).kind
 
 
@@ -58,13 +59,28 @@ def test_the_ground_decides_on_a_flash_before_exif(
     assert kind(slope=slope, fired=fired) == expected
 
 
+@pytest.mark.parametrize(
+    ("slope", "explained", "expected"),
+    [
+        (0.2, 0.5, "flash"),
+        (0.2, 0.1, "world"),  # by chance
+        (0.06, 0.5, "world"),  # too weak to matter
+        (0.3, 0.1, "flash"),  # under much noise
+    ],
+)
+def test_a_weak_lamp_without_exif_must_explain_the_ground(
+    slope: float, explained: float, expected: str
+) -> None:
+    assert kind(slope=slope, explained=explained) == expected
+
+
 @pytest.mark.parametrize("wanted", ["world", "turntable", "flash"])
 def test_what_was_set_is_done(wanted: str) -> None:
     assert kind(slope=0.6, wanted=wanted) == wanted
 
 
 def test_a_flash_and_a_room_together_start_with_more_of_the_room() -> None:
-    evidence = Evidence(None, 0.0, None, None, None)
+    evidence = Evidence(None, 0.0, None, None, None, None)
     shares = [
         light.flash.room
         for light in (decide(evidence, MODEL, k) for k in ("flash", "world+flash"))
@@ -74,13 +90,13 @@ def test_a_flash_and_a_room_together_start_with_more_of_the_room() -> None:
 
 
 def test_the_lamp_of_a_flash_is_placed_by_the_ground() -> None:
-    evidence = Evidence(None, 0.0, ground(1.0, 0.1, (0.0, -0.6)), 0.9, None)
+    evidence = Evidence(None, 0.0, ground(1.0, 0.1, (0.0, -0.6)), 0.9, 0.8, None)
     light = decide(evidence, MODEL, "auto")
     assert light.lamp is not None and light.lamp[1] < -0.1
 
 
 def test_a_turntable_without_rings_turns_about_the_object() -> None:
-    light = decide(Evidence(None, 0.0, None, None, None), MODEL, "turntable")
+    light = decide(Evidence(None, 0.0, None, None, None, None), MODEL, "turntable")
     assert light.turntable is not None
     np.testing.assert_array_equal(light.turntable.center, MODEL.ball.center)
     assert len(light.turntable.rings) == 1

@@ -35,16 +35,26 @@ def ground(lamp: float, room: float, place: tuple[float, float] = (0.0, 0.0)) ->
 
 
 def test_the_ground_follows_a_lamp_on_the_camera() -> None:
-    assert falloff(ground(1.0, 0.0)) == pytest.approx(1, abs=0.05)
+    slope, explained = falloff(ground(1.0, 0.0))
+    assert slope == pytest.approx(1, abs=0.05)
+    assert explained > 0.7
 
 
 def test_the_ground_does_not_follow_a_lamp_in_the_room() -> None:
-    assert falloff(ground(0.0, 0.6)) == pytest.approx(0, abs=0.05)
+    slope, explained = falloff(ground(0.0, 0.6))
+    assert slope == pytest.approx(0, abs=0.05)
+    assert explained < 0.05
 
 
 def test_a_lamp_and_a_room_together_lie_between() -> None:
-    slope = falloff(ground(0.6, 0.3))
+    slope, _ = falloff(ground(0.6, 0.3))
     assert 0.25 < slope < 0.8
+
+
+def test_a_weak_lamp_in_a_bright_room_is_told_by_what_it_explains() -> None:
+    slope, explained = falloff(ground(0.2, 0.4))
+    assert 0.12 < slope < 0.25
+    assert explained > 0.3
 
 
 def test_too_little_ground_says_nothing() -> None:
@@ -64,6 +74,15 @@ def test_a_background_that_stands_still_is_seen(still: bool) -> None:
     cameras = on_table([(1.0, 2.5, 0)], 8, UP)
     share = still_share(pictures(cameras, still=still), list(cameras), CENTER, RADIUS)
     assert share > 0.9 if still else share < 0.1
+
+
+def test_a_still_background_is_seen_though_the_exposure_changes() -> None:
+    cameras = on_table([(1.0, 2.5, 0)], 8, UP)
+    gains = np.linspace(0.8, 1.1, 8)  # of sRGB, nearly a stop in all
+    same = [np.float32(g) * p for g, p in zip(gains, pictures(cameras, still=True), strict=True)]
+    assert still_share(same, list(cameras), CENTER, RADIUS) > 0.9
+    apart = [np.float32(g) * p for g, p in zip(gains, pictures(cameras, still=False), strict=True)]
+    assert still_share(apart, list(cameras), CENTER, RADIUS) < 0.1
 
 
 def test_a_plain_background_says_nothing() -> None:

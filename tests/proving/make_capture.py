@@ -9,6 +9,9 @@ A second call goes on where the first one stopped. `--list` shows the captures.
 Each capture has `images/`, `masks/`, `cameras_gt.json`, `gt_mesh.ply` and `materials.json`, as the
 generator's own captures have. Photos have what real ones have and the generator leaves out: lens
 distortion, unequal exposure, motion blur and noise.
+
+`--light` renders a recipe under a light that moves, into a folder NAME-LIGHT: a flash in a dark
+room, a flash in a bright one, or a round table that turns before a tripod.
 """
 
 import argparse
@@ -20,6 +23,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+LIGHTS = ("world", "flash", "world+flash", "turntable")
 
 
 def main() -> None:
@@ -34,6 +39,9 @@ def main() -> None:
         "--photos", type=int, default=None, help="number of photos, in place of the recipe's"
     )
     ap.add_argument("--only", type=int, default=None, help="render this photo only")
+    ap.add_argument("--light", choices=LIGHTS, default="world")
+    ap.add_argument("--room", type=float, help="share of the room's light that a flash leaves")
+    ap.add_argument("--bare", action="store_true", help="photos without EXIF, as messengers send")
     ap.add_argument("--list", action="store_true")
     a = ap.parse_args()
     sys.path[:0] = [str(a.generator.resolve()), str(Path(__file__).parent)]
@@ -44,19 +52,21 @@ def main() -> None:
             print(f"{name:14} {'checking' if recipe.checking else 'tuning'}")
         return
     for name in a.names or RECIPES:
-        render(
-            name, RECIPES[name], a.out / name, a.passes, a.photos or RECIPES[name].photos, a.only
-        )
+        out = a.out / (name if a.light == "world" else f"{name}-{a.light}")
+        render(out, RECIPES[name], a.light, a)
 
 
-def render(name: str, recipe: Any, out: Path, passes: int, photos: int, only: int | None) -> None:
-    """Write one capture; photos that are there are kept."""
+def render(out: Path, recipe: Any, light: str, wanted: argparse.Namespace) -> None:
+    """Write one capture; photos that are there are kept.
+
+    Args:
+        wanted: the options.
+    """
     import capture
     import env
-    import geom
+    import moving
     from common import lookat
     from dataset import material_table, visible_mesh
-    from scenes import obj
 
     started = time.time()
     for folder in ("images", "masks"):
@@ -68,18 +78,27 @@ def render(name: str, recipe: Any, out: Path, passes: int, photos: int, only: in
     fov = float(np.rad2deg(2 * np.arctan(large[0] / 2 / focal)))
     objects = recipe.objects()
     own = len(objects)
-    half = 2.3
-    table = geom.xf(geom.rounded_box((half, half, 0.06), 0.02), None, (0, 0, -0.61))
-    table["UV"] = table["V"][:, :2] / (2 * half) + 0.5
-    objects.append(obj("table", table, type="diffuse", base=recipe.table(recipe.seed)[::-1]))
-    light = env.build(recipe.room, 2048, 1024, 1)
-    tracer = capture.PhotoTracer(objects, light, *large, fov, False)
+    turns, flashes = light == "turntable", "flash" in light
+    objects.append(moving.table(recipe.table(recipe.seed)[::-1], turns))
+    room, about = 1.0, {"light": light}
+    if flashes:
+        room = moving.ROOM[light] if wanted.room is None else wanted.room
+        about["flash"] = moving.flash(capture, recipe.seed, room)
+    # a still background is seen sharply
+    wide = 4096 if turns else 2048
+    surroundings = env.build(recipe.room, wide, wide // 2, 1) * np.float32(room)
+    tracer = capture.PhotoTracer(objects, surroundings, *large, fov, flashes)
     denoise = capture.OIDN(*large)
     rng = np.random.default_rng(recipe.seed)
-    poses = [
-        lookat(eye, at, roll=np.deg2rad(rng.normal(0, 2.5)))
-        for eye, at in recipe.cameras(photos, rng)
-    ]
+    photos = wanted.photos or recipe.photos
+    if turns:
+        cameras = moving.turntable(photos, rng, recipe.seed)
+    else:
+        cameras = [
+            {"c2w": lookat(eye, at, roll=np.deg2rad(rng.normal(0, 2.5)))}
+            for eye, at in recipe.cameras(photos, rng)
+        ]
+    poses = [camera["c2w"] for camera in cameras]
     gains = 2.0 ** rng.normal(0, recipe.drift or 1e-9, len(poses))
     shakes = rng.uniform(-1, 1, (len(poses), 2)) * recipe.shake
     frames = []
@@ -90,10 +109,10 @@ def render(name: str, recipe: Any, out: Path, passes: int, photos: int, only: in
                 "file": f"images/IMG_{i:04d}.jpg",
                 "transform_matrix": pose.tolist(),
                 "world_to_cam": w2c.tolist(),
+                **{key: value for key, value in cameras[i].items() if key != "c2w"},
             }
         )
-    about = {
-        "light": "world",
+    about |= {
         "width": width,
         "height": height,
         "fx": focal,
@@ -108,12 +127,14 @@ def render(name: str, recipe: Any, out: Path, passes: int, photos: int, only: in
     (out / "cameras_gt.json").write_text(json.dumps(about, indent=1))
     for i, pose in enumerate(poses):
         target = out / "images" / f"IMG_{i:04d}.jpg"
-        if target.exists() or (only is not None and i != only):
+        if target.exists() or (wanted.only is not None and i != wanted.only):
             continue
-        linear, oid = _traced(capture, tracer, denoise, pose, large, fov, objects, passes, i)
-        _write(target, linear, oid < own, recipe, focal, gains[i], shakes[i], rng)
-        print(f"{name} {i + 1} of {len(poses)}, {time.time() - started:.0f} s", flush=True)
-    if only is not None:
+        tracer.place(cameras[i])
+        linear, oid = _traced(capture, tracer, denoise, pose, large, fov, objects, wanted.passes, i)
+        exif = None if wanted.bare else _exif(recipe, flashes)
+        _write(target, linear, oid < own, recipe, focal, gains[i], shakes[i], rng, exif)
+        print(f"{out.name} {i + 1} of {len(poses)}, {time.time() - started:.0f} s", flush=True)
+    if wanted.only is not None:
         return
     scene = types.SimpleNamespace(scene=capture.load_scene(objects, None)[0])
     v, f, ids = visible_mesh(scene, {"objects": objects}, [p[:3, 3] for p in poses[::2]])
@@ -160,9 +181,9 @@ def _write(
     gain: float,
     shake: np.ndarray,
     rng: np.random.Generator,
+    exif: bytes | None,
 ) -> None:
     """Bend, expose, shake and develop one photo; write it with its mask."""
-    import piexif
     from common import srgb
     from PIL import Image
     from scipy.ndimage import map_coordinates
@@ -193,19 +214,25 @@ def _write(
     photo = photo + rng.normal(0, 1, photo.shape) * np.sqrt(
         photo * recipe.noise**2 * 20 + recipe.noise**2
     )
-    exif = {
-        "0th": {piexif.ImageIFD.Make: b"Proving", piexif.ImageIFD.Model: b"Ground"},
-        "Exif": {
-            piexif.ExifIFD.FocalLength: (int(recipe.focal * 100), 100),
-            piexif.ExifIFD.FocalLengthIn35mmFilm: int(recipe.focal),
-        },
-    }
     image = Image.fromarray(np.round(srgb(photo) * 255).astype(np.uint8))
     covered = seen(mask.astype(float), order=1) > 0.5
     Image.fromarray(covered).convert("1", dither=Image.Dither.NONE).save(
         path.parents[1] / "masks" / f"{path.stem}.png"
     )
-    image.save(path, quality=92, exif=piexif.dump(exif))
+    image.save(path, quality=92, exif=exif or b"")
+
+
+def _exif(recipe: Any, fired: bool) -> bytes:
+    """Lens, and whether the flash fired."""
+    import piexif
+
+    lens = {
+        piexif.ExifIFD.FocalLength: (int(recipe.focal * 100), 100),
+        piexif.ExifIFD.FocalLengthIn35mmFilm: int(recipe.focal),
+        piexif.ExifIFD.Flash: int(fired),
+    }
+    make = {piexif.ImageIFD.Make: b"Proving", piexif.ImageIFD.Model: b"Ground"}
+    return bytes(piexif.dump({"0th": make, "Exif": lens}))
 
 
 if __name__ == "__main__":
