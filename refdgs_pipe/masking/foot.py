@@ -11,7 +11,7 @@ from refdgs_pipe.camera import F64
 from refdgs_pipe.ground.plane import Ground
 from refdgs_pipe.ground.shots import F32, Bools, whole_shots
 from refdgs_pipe.masking.levels import LEVELS
-from refdgs_pipe.masking.plain import plain_feet
+from refdgs_pipe.masking.plain import plain_bodies
 from refdgs_pipe.masking.repeating import covered, lattice
 from refdgs_pipe.masking.table import TOLERANCES, Table
 from refdgs_pipe.masking.unproven import unproven
@@ -30,23 +30,30 @@ class Foot:
             does not go on, a plain body stands, or something hides it and no texture proves it;
             None where nothing is known of that.
         radius: how far that picture reaches, world units.
+        hangs: (n, n) of it, where photos agree on a plain body that hangs over the plane; or None.
     """
 
     walls: list[Wall]
     covered: Bools | None = None
     radius: float = 0.0
+    hangs: Bools | None = None
 
     def on(self, ground: Ground, n: int) -> Bools:
         """(n, n) the covered cells of another picture of the plane, with the same middle."""
-        behind = footprint(self.walls, ground, n)
-        if self.covered is None:
-            return behind
+        return footprint(self.walls, ground, n) | self._drawn(self.covered, ground, n)
+
+    def below(self, ground: Ground, n: int) -> Bools:
+        """(n, n) the same of the cells that a plain body hangs over."""
+        return self._drawn(self.hangs, ground, n)
+
+    def _drawn(self, cells: Bools | None, ground: Ground, n: int) -> Bools:
+        if cells is None:
+            return np.zeros((n, n), bool)
         place = ((np.arange(n) + 0.5) / n * 2 - 1) * ground.radius / self.radius
-        at = ((place + 1) / 2 * len(self.covered) - 0.5).astype(np.float32)
+        at = ((place + 1) / 2 * len(cells) - 0.5).astype(np.float32)
         x, y = np.meshgrid(at, at)
-        wide = self.covered.astype(np.float32)
-        found = cv2.remap(wide, x, y, cv2.INTER_LINEAR, borderValue=0)
-        return np.asarray(behind | (found > 0.5))
+        found = cv2.remap(cells.astype(np.float32), x, y, cv2.INTER_LINEAR, borderValue=0)
+        return np.asarray(found > 0.5)
 
 
 def foot(
@@ -75,11 +82,11 @@ def foot(
     if pattern is None:
         centers = np.stack([shot.camera.center for shot in shots])
         given = (table.colour, seen, ground, centers, ball.radius)
-        there = plain_feet(*given)
+        there, hangs = plain_bodies(*given)
         if not flash:
             there |= unproven(*given)
         walls = mirror_walls(table, seen, centers, ball.radius)
-        return Foot(walls, there if there.any() else None, ground.radius)
+        return Foot(walls, there if there.any() else None, ground.radius, hangs)
     return Foot([], covered(table.colour, _agreeing(table, seen), pattern), ground.radius)
 
 

@@ -35,8 +35,10 @@ OFTEN = 0.2  # how often it sees it inside, at least
 FOOT = 0.6
 
 
-def plain_feet(colour: F32, seen: F32, ground: Ground, centers: F64, radius: float) -> Bools:
-    """(n, n) where a plain body stands.
+def plain_bodies(
+    colour: F32, seen: F32, ground: Ground, centers: F64, radius: float
+) -> tuple[Bools, Bools]:
+    """(n, n) where a plain body stands, and (n, n) where one only hangs over the plane.
 
     Args:
         colour: (n, n, 3) log colour of the plane, on which photos agree; NaN where unknown.
@@ -52,7 +54,8 @@ def plain_feet(colour: F32, seen: F32, ground: Ground, centers: F64, radius: flo
     far = np.hypot(x, y) / radius
     even = cv2.medianBlur(np.nan_to_num(colour, nan=-9.0).astype(np.float32), 5)
     least = LEAST_AREA * radius**2 / (2 * ground.radius / n) ** 2
-    out, tried = np.zeros((n, n), bool), ~np.isfinite(colour[..., 0])
+    stands, hangs = np.zeros((2, n, n), bool)
+    tried = ~np.isfinite(colour[..., 0])
     for row in range(SEEDS // 2, n, SEEDS):
         for column in range(SEEDS // 2, n, SEEDS):
             if tried[row, column] or far[row, column] > 1:
@@ -65,9 +68,10 @@ def plain_feet(colour: F32, seen: F32, ground: Ground, centers: F64, radius: flo
                 continue
             closed = np.ones((CLOSED, CLOSED), np.uint8)
             whole = cv2.morphologyEx(region.astype(np.uint8), cv2.MORPH_CLOSE, closed) > 0
-            if _stands(whole, colour, seen, cameras, np.stack([x, y], -1)):
-                out |= whole
-    return out
+            hides, foot = _hides(whole, colour, seen, cameras, np.stack([x, y], -1))
+            if hides:
+                (stands if foot else hangs)[whole] = True
+    return stands, hangs & ~stands
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,8 +143,8 @@ class _Shares:
             share.add(sector[at], so[at])
 
 
-def _stands(region: Bools, colour: F32, seen: F32, cameras: F64, place: F64) -> bool:
-    """Whether a region of one colour is the foot of a body of that colour.
+def _hides(region: Bools, colour: F32, seen: F32, cameras: F64, place: F64) -> tuple[bool, bool]:
+    """Whether a region of one colour is that of a body, and whether it is the body's foot.
 
     Args:
         cameras: (N, 2) and place: (n, n, 2), on the plane's axes.
@@ -160,11 +164,11 @@ def _stands(region: Bools, colour: F32, seen: F32, cameras: F64, place: F64) -> 
         as_inside.add(inner, camera, told, np.abs(shown - own).max(-1) < LIKE)
     hides = np.sort(hidden.across.by_sector)
     often = as_inside.across.whole
-    return bool(
+    body = (
         np.median(hides) > HIDDEN
         and hides[1] > HIDDEN_LEAST
         and np.median(hidden.before.by_sector) < SHOWN
         and often > OFTEN
         and as_outside.across.whole > GOES_ON * often
-        and np.median(as_inside.before.by_sector) > FOOT
     )
+    return bool(body), bool(np.median(as_inside.before.by_sector) > FOOT)

@@ -161,7 +161,7 @@ class _Worker:
         self.band = [max(2, round(BAND * max(shot.whole))) for shot in self.shots]
         reach = WIDE * model.ball.radius if found is None else found.reach
         ground = Ground.under(self.ball, *plane, reach)
-        covered = stands.on(ground, level.cells)
+        covered, self.below = (of(ground, level.cells) for of in (stands.on, stands.below))
         self.table = Table(ground, level.cells, len(self.shots), threads, covered)
         within = found.ball if found is not None and level is LAST else self.ball
         self.cells = grid(within, *plane, level.solid)
@@ -170,6 +170,7 @@ class _Worker:
         """Cut every photo, and find the solid; None if there is none."""
         if found is None:
             table = self.table.found(self.shots)
+            table.share[self.below] = 0  # what is seen there is no picture of the plane
             evidence = shown_plane(table, self.shots, None, seldom=FIRST_SELDOM)
             limits = [silhouette(self.cells, self.cells.inside, shot) for shot in self.shots]
             values = [

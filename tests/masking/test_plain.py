@@ -5,13 +5,19 @@ import pytest
 from boxes import BLACK, BODY, FLAT, GROUND, REACH, WHITE, Box, N, cameras, shown
 
 from refdgs_pipe.ground.shots import Bools
-from refdgs_pipe.masking.plain import plain_feet
+from refdgs_pipe.masking.plain import plain_bodies
+
+HANGING: Box = ((-0.5, -0.3, 0.08), (0.5, 0.3, 0.35), BLACK)
+
+
+def bodies(boxes: list[Box]) -> tuple[Bools, Bools]:
+    """(N, N) what is found for the boxes, standing and hanging; photos agree on their median."""
+    seen = shown(boxes)
+    return plain_bodies(np.median(seen, axis=0), seen, GROUND, cameras(), 1.0)
 
 
 def feet(boxes: list[Box]) -> Bools:
-    """(N, N) what is found for the boxes; photos agree on their median."""
-    seen = shown(boxes)
-    return plain_feet(np.median(seen, axis=0), seen, GROUND, cameras(), 1.0)
+    return bodies(boxes)[0]
 
 
 def test_a_plain_plinth_below_a_bright_post_is_found_where_it_stands() -> None:
@@ -25,7 +31,7 @@ def test_a_plain_plinth_below_a_bright_post_is_found_where_it_stands() -> None:
 
 @pytest.mark.parametrize(
     "boxes",
-    [[FLAT], [((-0.5, -0.3, 0.08), (0.5, 0.3, 0.35), BLACK)], []],
+    [[FLAT], [HANGING], []],
     ids=["paper", "a body that hangs", "nothing"],
 )
 def test_what_does_not_stand_is_left_alone(boxes: list[Box]) -> None:
@@ -36,3 +42,14 @@ def test_paper_below_a_standing_body_is_not_taken_for_its_foot() -> None:
     found = feet([FLAT, ((-0.3, -0.22, 0.0), (0.3, 0.22, 0.5), WHITE)])
     rim = round((1 - 0.35 / REACH) * N / 2)  # column where the paper shows beside the body
     assert not found[:, :rim].any()
+
+
+def test_where_a_body_hangs_what_photos_agree_on_is_not_the_plane() -> None:
+    stands, hangs = bodies([HANGING])
+    assert hangs.any() and not stands.any()
+    place = ((np.arange(N) + 0.5) / N * 2 - 1) * REACH
+    x, y = np.meshgrid(place, place)
+    over = (np.abs(x) < 0.5) & (np.abs(y) < 0.3)
+    assert (hangs & over).sum() > 0.6 * hangs.sum()
+    for boxes in ([FLAT], [], [BODY]):
+        assert not bodies(boxes)[1].any()
