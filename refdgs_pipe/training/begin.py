@@ -10,7 +10,6 @@ from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.start import Start
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.training.initial import Hull, closed_hull, object_hull
-from refdgs_pipe.training.inside import see_inside
 from refdgs_pipe.training.look import look
 from refdgs_pipe.training.photos import TrainingPhoto, load_training_photos
 from refdgs_pipe.training.settings import StartParams
@@ -107,6 +106,8 @@ def _solid(
     if plateau is not None and misfit is not None and misfit < A_MIRROR:
         flat = replace(hull, cells=(hull.cells | mouth.hollow) & ~plateau.bulge)
         return flat, f"a flat mirror, misfit {misfit:.2f}"
+    from refdgs_pipe.training.inside import see_inside  # asks for OpenCV
+
     told = "" if misfit is None else f", misfit as a flat mirror {misfit:.2f}"
     seen = see_inside(model, photos, closed, mouth, torch.get_num_threads(), progress)
     if seen is not None and seen.opens:
