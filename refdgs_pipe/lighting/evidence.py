@@ -13,6 +13,7 @@ F32 = NDArray[np.float32]
 STILL = 0.012  # sRGB: a pixel of a still background differs less from the median photo
 TEXTURE = 0.03  # sRGB from pixel to pixel: a steeper background would show that it moves
 _LIT = 0.1  # sRGB: darker pixels do not tell the exposure
+_LEAST_GAIN = 0.1  # of a photo's exposure, in sRGB
 AROUND = 1.05  # ball radii: what is farther from the ball's centre is background
 _DARK, _BRIGHT = 0.02, 0.9  # linear radiance that is neither noise nor clipped
 _FEWEST = 300  # observations of the ground
@@ -56,7 +57,7 @@ def _equally_exposed(stack: F32, outside: NDArray[np.bool_]) -> F32:
     if not lit.any():
         return stack
     gains = np.median(stack[:, lit] / median[lit], axis=1)
-    return np.asarray(stack / np.maximum(gains, _LIT)[:, None, None], np.float32)
+    return np.asarray(stack / np.maximum(gains, _LEAST_GAIN)[:, None, None], np.float32)
 
 
 def _outside(camera: Camera, center: F64, radius: float) -> NDArray[np.bool_]:

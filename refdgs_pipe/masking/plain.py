@@ -3,7 +3,8 @@
 Photos from all sides agree on the one colour of a plain plinth, as if it lay flat on the plane. But
 a body hides what lies behind it. So just outside of the region of that colour, photos that look
 across the region see the body, and only photos from the near side see the plane. Photos from the
-near side also see the plane below a body that hangs over it, and the body's foot if it stands.
+near side also see the plane below a body that hangs over it, and the body's foot if it stands. So
+where a body hangs, what most photos agree on is the body and no picture of the plane.
 """
 
 from dataclasses import dataclass

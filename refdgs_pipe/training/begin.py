@@ -106,7 +106,7 @@ def _solid(
     if plateau is not None and misfit is not None and misfit < A_MIRROR:
         flat = replace(hull, cells=(hull.cells | mouth.hollow) & ~plateau.bulge)
         return flat, f"a flat mirror, misfit {misfit:.2f}"
-    from refdgs_pipe.training.inside import see_inside  # asks for OpenCV
+    from refdgs_pipe.training.inside import see_inside  # needs OpenCV; a GPU machine may lack it
 
     told = "" if misfit is None else f", misfit as a flat mirror {misfit:.2f}"
     seen = see_inside(model, photos, closed, mouth, torch.get_num_threads(), progress)

@@ -29,10 +29,11 @@ Ints = NDArray[np.int64]
 SAME = 1.0  # cells between a place and what is behind it, to be seen through
 FREE = 2  # photos that have to see through a cell
 MARGIN = 6  # pixels round the mouth that are compared as well
+LEAST_SIDE = 24  # pixels of a photo's part, on either side
 RIM = 0.05  # quantile of a lid's height that is its rim's: silhouettes bulge inside of it
 LAYER = 1.5, 4.5  # cells below the rim, where an open mouth is empty
 THROUGH = 0.33  # of the cells there, that photos see through, at least
-RATHER = 2.5  # photos that see through such a cell, for each that does not
+RATHER = 4.0  # photos that see through such a cell, for each that does not
 CORE = 3.0  # cells from the walls of the hollow, where its floor is looked for
 ENOUGH = 30  # photos that tell of the cells of one layer, all together
 
@@ -130,7 +131,7 @@ def _part(photo: TrainingPhoto, lid: F64) -> TrainingPhoto | None:
     size = np.array([photo.camera.width, photo.camera.height])
     low = (np.floor(uv.min(0)).astype(int) - MARGIN).clip(0)
     high = np.minimum(np.ceil(uv.max(0)).astype(int) + MARGIN, size)
-    if (high - low < 4 * MARGIN).any():
+    if (high - low < LEAST_SIDE).any():
         return None
     move = np.eye(3)
     move[:2, 2] = -low

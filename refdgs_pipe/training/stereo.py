@@ -100,13 +100,14 @@ def agreed_surface(
         threads: photos that are worked on at a time; the result does not depend on it.
         progress: told the photos done and their number; may raise.
     """
+    reduced = [small(photo) for photo in photos]
     maps = depth_maps(
-        photos, model.ball.center, lambda camera: _limits(camera, model), threads, progress
+        reduced, model.ball.center, lambda camera: _limits(camera, model), threads, progress
     )
     parts, seen = [], []
-    for found, photo in zip(maps, photos, strict=True):
+    for found, photo in zip(maps, reduced, strict=True):
         places, good = found.points(), found.good
-        color = small(photo).rgb.permute(1, 2, 0).numpy()[good] / 255.0
+        color = photo.rgb.permute(1, 2, 0).numpy()[good] / 255.0
         parts.append((places[good], _normals(places, found.camera)[good], color))
         seen.append(good)
     points, normals, colors = (np.concatenate([part[k] for part in parts]) for k in range(3))
@@ -120,15 +121,15 @@ def depth_maps(
     threads: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[DepthMap]:
-    """The depths of small photos, and where neighbours find the same.
+    """The depths of photos, and where neighbours find the same.
 
     Args:
-        photos: on the CPU.
+        photos: on the CPU, as `small` makes them, or parts of such.
         center: (3,) what the photos show, world; neighbours are chosen by the angle there.
-        limits: the nearest and the farthest depth for a small photo's camera, world units.
+        limits: the nearest and the farthest depth for a photo's camera, world units.
         threads, progress: as for `agreed_surface`.
     """
-    sights = [_sight(small(photo)) for photo in photos]
+    sights = [_sight(photo) for photo in photos]
     near = _neighbours([sight.camera for sight in sights], center)
     depths: list[F32] = []
 
