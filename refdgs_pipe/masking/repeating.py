@@ -102,7 +102,8 @@ def covered(colour: F32, agreeing: F32, pattern: Lattice) -> Bools:
     """
     own = np.isfinite(colour[..., 0]) & (agreeing > OWN)
     expected = continued(colour, own, pattern)
-    both = np.isfinite(expected[..., 0]) & np.isfinite(colour[..., 0])
+    extent = binary_fill_holes(_morphed(own, cv2.MORPH_CLOSE, CLOSED * pattern.period))
+    both = np.isfinite(expected[..., 0]) & np.isfinite(colour[..., 0]) & extent
     empty = both & (agreeing > CERTAIN)
     if not empty.any():
         return np.zeros(both.shape, bool)
@@ -116,14 +117,24 @@ def covered(colour: F32, agreeing: F32, pattern: Lattice) -> Bools:
         ground = both & (empty | (broad <= limit))
     differs = both & ~ground & (off > limit)
     around = binary_fill_holes(_morphed(own & ~differs, cv2.MORPH_CLOSE, CLOSED * pattern.period))
-    whole = binary_fill_holes(_morphed(differs, cv2.MORPH_CLOSE, CLOSED * pattern.period))
-    pieces, count = label(_morphed(whole, cv2.MORPH_OPEN, OPENED * pattern.period))
+    found = _pieces(_morphed(differs, cv2.MORPH_CLOSE, CLOSED * pattern.period), around, 0)
+    area = abs(pattern.one[0] * pattern.other[1] - pattern.one[1] * pattern.other[0])
+    whole = _morphed(binary_fill_holes(found), cv2.MORPH_OPEN, OPENED * pattern.period)
+    stands = _pieces(whole, around, LEAST_AREA * area)
+    return _morphed(stands, cv2.MORPH_ERODE, DOUBTFUL * pattern.period)
+
+
+def _pieces(part: Bools, around: Bools, least: float) -> Bools:
+    """The pieces of a part that the ground surrounds and that have an area, in cells, at least.
+
+    Only those may be filled: what lies beyond the ground's edge goes all round it.
+    """
+    pieces, count = label(part)
     sizes = np.bincount(pieces.ravel(), minlength=count + 1)
     within = np.bincount(pieces[around], minlength=count + 1)
-    area = abs(pattern.one[0] * pattern.other[1] - pattern.one[1] * pattern.other[0])
-    stands = (sizes >= LEAST_AREA * area) & (within >= WITHIN * sizes)
-    stands[0] = False
-    return _morphed(stands[pieces], cv2.MORPH_ERODE, DOUBTFUL * pattern.period)
+    wanted = (sizes >= least) & (within >= WITHIN * sizes)
+    wanted[0] = False
+    return np.asarray(wanted[pieces])
 
 
 def continued(colour: F32, own: Bools, pattern: Lattice) -> F32:

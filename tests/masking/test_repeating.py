@@ -94,6 +94,13 @@ def test_what_lies_beyond_the_cloths_edge_is_not_taken_for_an_object() -> None:
     assert not found.any()
 
 
+def test_an_object_is_found_on_a_cloth_that_the_floor_surrounds() -> None:
+    floor = np.maximum(abs(X - 96), abs(Y - 96)) > 84
+    shown = np.where(floor[..., None], -1.7, checked(X, Y).mean((0, 1)))
+    found = standing(BOX | floor, shown)
+    assert lies_in_the_box(found)
+
+
 def test_what_is_covered_has_the_same_place_in_a_picture_of_another_size() -> None:
     foot = Foot([], BOX, radius=2.0)
     ground = Ground(np.zeros(3), np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), radius=1.0)
