@@ -133,6 +133,22 @@ def agreement(found: Found) -> tuple[float, float]:
     return float(np.mean(shares)), float(np.quantile(shares, 0.1))
 
 
+def with_colour(value: F32, colour: F32, near: Bools, covers: Bools) -> F32:
+    """(H, W) the evidence of the surroundings, and that of colours where it is weak.
+
+    Args:
+        value: (H, W) log odds of the plane or the room; colour: (H, W) those by colours alone.
+        near: (H, W) near the outline; far from it colours tell of the surroundings only.
+        covers: (H, W) where the object stands: colours tell of the object only, for it may mirror
+            the plane.
+    """
+    doubt = np.clip(1 - np.abs(value) / 2, 0, 1)
+    told = np.where(covers, np.minimum(colour, 0), colour)
+    return np.asarray(
+        value + COLOUR * doubt * np.where(near, told, np.maximum(told, 0)), np.float32
+    )
+
+
 class _Worker:
     """The photos of one level, and what they show of the plane."""
 
@@ -249,11 +265,10 @@ class _Worker:
         outlines = self._parts_of(found.outlines)
         colours = colour_evidence(self.shots, self._parts(found.masks), outlines, self.band)
         out = []
-        for one, colour, outline, band in zip(evidence, colours, outlines, self.band, strict=True):
-            doubt = np.clip(1 - np.abs(one.value) / 2, 0, 1)
-            near = grown(outline, 2 * band)
-            more = COLOUR * doubt * np.where(near, colour, np.maximum(colour, 0))
-            out.append(np.asarray(one.value + more, np.float32))
+        given = zip(self.shots, evidence, colours, outlines, self.band, strict=True)
+        for shot, one, colour, outline, band in given:
+            near, covers = grown(outline, 2 * band), self.table.drawn_cover(shot)
+            out.append(with_colour(one.value, colour, near, covers))
         return out
 
     def _with_contact(self, values: list[F32], solid: Bools, outlines: list[Bools]) -> list[F32]:

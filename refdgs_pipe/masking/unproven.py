@@ -25,7 +25,9 @@ PATCHES = (2.0, 3.0)  # cells (sigma) over which texture is compared
 AGREE, TEXTURED = 0.5, 0.5  # correlation, and degree of texture, of a proof
 SECTORS, APART = 12, 2  # directions; that many apart have to agree
 GAP, FOOT = 0.08, 0.2  # ball radii: narrower gaps are closed, narrower feet are left out
-ALIKE = 0.65  # mean share of the photos that have to agree on the colour of a part
+ALIKE = 0.5  # mean share of the photos that have to agree on the colour of a part
+ONCE = 0.1  # share of a part's cells, at most, whose texture photos from one direction show
+LEAK = 3  # cells by which the texture of its own edge proves a foot's inside
 AROUND, PROVEN = 0.25, 0.4  # ball radii round the places, and the share of it that is proven
 
 
@@ -33,7 +35,8 @@ def unproven(colour: F32, seen: F32, ground: Ground, centers: F64, radius: float
     """(n, n) cells of the plane below something, where nothing proves that photos see the plane.
 
     No cell is marked if the plane around them is not proven either. A part is marked only if most
-    photos agree on its colour: that agreement is the evidence for the plane that can mislead.
+    photos agree on its colour: that agreement is the evidence for the plane that can mislead. And
+    hardly any photo may show the texture there: the ground in a shadow is seen from one direction.
 
     Args:
         colour: (n, n, 3) log colour that most photos agree on, NaN where unknown.
@@ -42,7 +45,8 @@ def unproven(colour: F32, seen: F32, ground: Ground, centers: F64, radius: float
     """
     n = len(colour)
     cell = 2 * ground.radius / n
-    sure = proven(colour, seen, ground, centers)
+    towards = shown_from(colour, seen, ground, centers)
+    sure = proven(towards)
     under = below(colour, seen, ground, centers, radius) & ~sure
     gap, foot = (_disc(width * radius / cell) for width in (GAP, FOOT))
     closed = cv2.morphologyEx(under.astype(np.uint8), cv2.MORPH_CLOSE, gap)
@@ -51,11 +55,26 @@ def unproven(colour: F32, seen: F32, ground: Ground, centers: F64, radius: float
     around = cv2.dilate(found.astype(np.uint8), np.ones((2 * wide + 1,) * 2, np.uint8)) > found
     if not found.any() or sure[around].mean() < PROVEN:
         return np.zeros((n, n), bool)
-    return _agreed(found, colour, seen)
+    once = np.asarray(towards.any(0))
+    parts = _misleading(found, colour, seen, once).astype(np.uint8)
+    return np.asarray(cv2.dilate(parts, _disc(2 * LEAK + 1)) > 0)
 
 
-def proven(colour: F32, seen: F32, ground: Ground, centers: F64) -> Bools:
+def proven(towards: Bools) -> Bools:
     """(n, n) cells whose texture photos from directions that lie far apart agree on.
+
+    Args:
+        towards: (SECTORS, n, n) of `shown_from`.
+    """
+    found = np.zeros(towards.shape[1:], bool)
+    for i in range(SECTORS):
+        for j in range(i + APART, min(SECTORS, i + SECTORS - APART + 1)):
+            found |= towards[i] & towards[j]
+    return found
+
+
+def shown_from(colour: F32, seen: F32, ground: Ground, centers: F64) -> Bools:
+    """(SECTORS, n, n) cells whose texture a photo from each direction shows.
 
     Args:
         colour, seen, ground, centers: as for `unproven`.
@@ -73,11 +92,7 @@ def proven(colour: F32, seen: F32, ground: Ground, centers: F64) -> Bools:
         for sigma in PATCHES:
             like, texture = same_texture(shown, picture, sigma)
             agreed[towards] |= whole & near & (like > AGREE) & (texture > TEXTURED)
-    found = np.zeros(picture.shape, bool)
-    for i in range(SECTORS):
-        for j in range(i + APART, min(SECTORS, i + SECTORS - APART + 1)):
-            found |= agreed[i] & agreed[j]
-    return found
+    return agreed
 
 
 def below(colour: F32, seen: F32, ground: Ground, centers: F64, radius: float) -> Bools:
@@ -108,16 +123,21 @@ def below(colour: F32, seen: F32, ground: Ground, centers: F64, radius: float) -
     return found
 
 
-def _agreed(found: Bools, colour: F32, seen: F32) -> Bools:
-    """(n, n) the parts of what was found on whose colour most photos agree."""
+def _misleading(found: Bools, colour: F32, seen: F32, once: Bools) -> Bools:
+    """(n, n) the parts of what was found on whose colour most photos agree, without texture.
+
+    Args:
+        once: (n, n) cells whose texture at least one photo shows.
+    """
     known = np.isfinite(seen[..., 0]) & np.isfinite(colour[..., 0])
     near = (np.abs(seen - colour).max(-1) < TOLERANCES[1]) & known
     share = near.sum(0) / np.maximum(known.sum(0), 1)
     count, parts = cv2.connectedComponents(found.astype(np.uint8))
     sizes = np.maximum(np.bincount(parts.ravel(), minlength=count), 1)
-    agreed = np.bincount(parts.ravel(), share.ravel(), count) / sizes >= ALIKE
-    agreed[0] = False
-    return np.asarray(agreed[parts])
+    alike, shown = (np.bincount(parts.ravel(), v.ravel(), count) / sizes for v in (share, once))
+    wanted = (alike >= ALIKE) & (shown <= ONCE)
+    wanted[0] = False
+    return np.asarray(wanted[parts])
 
 
 def _disc(width: float) -> NDArray[np.uint8]:

@@ -18,7 +18,7 @@ from refdgs_pipe.ground.shots import Shot
 from refdgs_pipe.masking import foot, rounds
 from refdgs_pipe.masking.cut import cut
 from refdgs_pipe.masking.files import distorted, write_masks
-from refdgs_pipe.masking.rounds import agreement, object_masks
+from refdgs_pipe.masking.rounds import agreement, object_masks, with_colour
 from refdgs_pipe.masking.solid import agreed, covering, grid, low, silhouette, standing
 
 BALL = Ball(np.array([0.0, 0.0, 0.45]), 1.0)
@@ -175,6 +175,19 @@ def ring_of_shots(count: int = 8) -> tuple[list[Shot], list[np.ndarray]]:
         nothing = np.zeros((*SIZE[::-1], 3), np.float32)
         shots.append(Shot(one, nothing, np.ones(SIZE[::-1], bool), (0, SIZE[0], 0, SIZE[1]), SIZE))
     return shots, [photographed(shot.camera)[1] for shot in shots]
+
+
+def test_the_planes_colour_is_no_evidence_for_it_where_the_object_stands() -> None:
+    value = np.zeros((1, 4), np.float32)
+    colour = np.array([[2.0, -2.0, 2.0, -2.0]], np.float32)
+    covers = np.array([[True, True, False, False]])
+    near = np.ones((1, 4), bool)
+    found = with_colour(value, colour, near, covers)[0]
+    assert found[0] == 0 and found[1] < 0 < found[2] and found[3] < 0
+    far = with_colour(value, colour, ~near, covers)[0]
+    assert far[2] > 0 and not far[[0, 1, 3]].any()
+    sure = with_colour(value + 3, colour, near, covers)[0]
+    assert (sure == 3).all()
 
 
 def test_a_cell_that_photos_deny_is_not_solid() -> None:

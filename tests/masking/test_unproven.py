@@ -1,11 +1,12 @@
 """What lies below an object counts as the plane only if its texture proves it."""
 
 import numpy as np
+import pytest
 from boxes import BODY, GROUND, REACH, TABLE, WHITE, Box, N, cameras, shown
 
 from refdgs_pipe.ground.shots import F32, Bools
 from refdgs_pipe.masking.beyond import LEAST, _proof
-from refdgs_pipe.masking.unproven import below, proven, unproven
+from refdgs_pipe.masking.unproven import below, proven, shown_from, unproven
 
 # Its lower half has the mean colour of the table, as a blurred reflection of it has.
 GREY: Box = ((-0.4, -0.3, 0.0), (0.4, 0.3, 0.35), TABLE)
@@ -36,6 +37,15 @@ def test_where_photos_disagree_on_the_colour_nothing_is_found() -> None:
     assert not found(seen).any()
 
 
+def test_a_place_whose_texture_some_photos_show_is_no_foot(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen, eyes = shown([GREY, HEAD]), cameras()
+    side = eyes[:, 0] > 0.5 * np.linalg.norm(eyes, axis=1)
+    seen[side] = shown([])[side]
+    assert not found(seen).any()
+    monkeypatch.setattr("refdgs_pipe.masking.unproven.ONCE", 1.0)
+    assert found(seen).any()
+
+
 def test_nothing_is_found_on_an_empty_plane_nor_below_what_hangs_high() -> None:
     assert not found(shown([])).any()
     assert not found(shown([HUNG])).any()
@@ -48,11 +58,11 @@ def test_nothing_is_said_of_a_plane_without_texture() -> None:
 def test_texture_is_a_proof_only_if_photos_from_two_sides_see_it() -> None:
     seen = shown([BODY])
     colour = np.median(seen, axis=0)
-    far = proven(colour, seen, GROUND, cameras())[: N // 8]
+    far = proven(shown_from(colour, seen, GROUND, cameras()))[: N // 8]
     assert far.mean() > 0.8
     eyes = cameras()
     near = np.linalg.norm(eyes - eyes[0], axis=1) < 1.2
-    assert not proven(colour, seen[near], GROUND, eyes[near])[: N // 8].any()
+    assert not proven(shown_from(colour, seen[near], GROUND, eyes[near]))[: N // 8].any()
 
 
 def test_cells_below_a_body_are_those_above_which_it_is_seen() -> None:
