@@ -137,11 +137,18 @@ def render(out: Path, recipe: Any, light: str, wanted: argparse.Namespace) -> No
     if wanted.only is not None:
         return
     scene = types.SimpleNamespace(scene=capture.load_scene(objects, None)[0])
-    v, f, ids = visible_mesh(scene, {"objects": objects}, [p[:3, 3] for p in poses[::2]])
+    sides = [*objects, *(_turned_over(one) for one in objects)]  # however the faces are wound
+    v, f, ids = visible_mesh(scene, {"objects": sides}, [p[:3, 3] for p in poses[::2]])
+    ids = ids % len(objects)
     used, inverse = np.unique(f[ids < own].ravel(), return_inverse=True)
     capture.write_ply(out / "gt_mesh.ply", v[used], inverse.reshape(-1, 3))
     np.save(out / "gt_mesh_face_object.npy", ids[ids < own].astype(np.uint8))
     (out / "materials.json").write_text(json.dumps(material_table({"objects": objects}), indent=1))
+
+
+def _turned_over(one: dict[str, Any]) -> dict[str, Any]:
+    """The object with its faces wound the other way."""
+    return {**one, "mesh": {**one["mesh"], "F": one["mesh"]["F"][:, ::-1]}}
 
 
 def _traced(

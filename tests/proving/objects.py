@@ -346,8 +346,7 @@ def nut() -> Objects:
         parts.append(_sheet(a, radius, z, np.array([0, 0, up])))
     bore = _sheet(a, inner, np.linspace(0, h, 16), None)
     bore["N"] = -bore["V"] * [1, 1, 0] / inner
-    parts = [walls, *(_wound(part) for part in (*parts[1:], bore))]
-    steel = geom.xf(geom.merge(parts), None, (0, 0, TABLE_Z))
+    steel = geom.xf(geom.merge([*parts, bore]), None, (0, 0, TABLE_Z))
     ring = geom.param_surface(
         lambda u, w: np.stack(
             [
@@ -378,14 +377,6 @@ def _sheet(angles: np.ndarray, radius: Any, z: Any, normal: np.ndarray | None) -
     points = p.reshape(-1, 3)
     normals = np.tile(np.zeros(3) if normal is None else normal, (len(points), 1))
     return {"V": points, "F": faces, "N": normals, "UV": points[:, :2] * 0.4 + 0.5}
-
-
-def _wound(part: Mesh) -> Mesh:
-    """The mesh with its faces wound as its normals point."""
-    a, b, c = (part["V"][part["F"][:, k]] for k in range(3))
-    against = (np.cross(b - a, c - a) * part["N"][part["F"]].sum(1)).sum(1) < 0
-    faces = np.where(against[:, None], part["F"][:, ::-1], part["F"])
-    return {**part, "F": faces}
 
 
 def lacquer_box() -> Objects:
