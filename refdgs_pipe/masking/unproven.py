@@ -26,7 +26,7 @@ AGREE, TEXTURED = 0.5, 0.5  # correlation, and degree of texture, of a proof
 SECTORS, APART = 12, 2  # directions; that many apart have to agree
 GAP, FOOT = 0.08, 0.2  # ball radii: narrower gaps are closed, narrower feet are left out
 ALIKE = 0.5  # mean share of the photos that have to agree on the colour of a part
-ONCE = 0.1  # share of a part's cells, at most, whose texture photos from one direction show
+ONCE = 0.1  # share of a part's cells, at most, whose texture any photo shows
 LEAK = 3  # cells by which the texture of its own edge proves a foot's inside
 AROUND, PROVEN = 0.25, 0.4  # ball radii round the places, and the share of it that is proven
 
@@ -36,7 +36,8 @@ def unproven(colour: F32, seen: F32, ground: Ground, centers: F64, radius: float
 
     No cell is marked if the plane around them is not proven either. A part is marked only if most
     photos agree on its colour: that agreement is the evidence for the plane that can mislead. And
-    hardly any photo may show the texture there: the ground in a shadow is seen from one direction.
+    no photo may show the plane's texture in more than a few of its cells: then it is ground that
+    the object hides from most photos.
 
     Args:
         colour: (n, n, 3) log colour that most photos agree on, NaN where unknown.
@@ -55,9 +56,8 @@ def unproven(colour: F32, seen: F32, ground: Ground, centers: F64, radius: float
     around = cv2.dilate(found.astype(np.uint8), np.ones((2 * wide + 1,) * 2, np.uint8)) > found
     if not found.any() or sure[around].mean() < PROVEN:
         return np.zeros((n, n), bool)
-    once = np.asarray(towards.any(0))
-    parts = _misleading(found, colour, seen, once).astype(np.uint8)
-    return np.asarray(cv2.dilate(parts, _disc(2 * LEAK + 1)) > 0)
+    parts = _misleading(found, colour, seen, np.asarray(towards.any(0)))
+    return np.asarray(cv2.dilate(parts.astype(np.uint8), _disc(2 * LEAK + 1)) > 0)
 
 
 def proven(towards: Bools) -> Bools:

@@ -10,7 +10,7 @@ from scenes import LIN, mix, obj, uvgrid
 
 
 def saucepan() -> Objects:
-    """An open saucepan of satin steel with a polished base and a black handle."""
+    """An open saucepan of satin aluminium with a black handle."""
     outside = [(1e-4, 0.0), (0.5, 0.0), (0.56, 0.05), (0.57, 0.6), (0.6, 0.62)]
     inside = [(0.6, 0.62), (0.555, 0.61), (0.54, 0.07), (0.48, 0.03), (1e-4, 0.03)]
     handle = _tube([(0.54, 0, 0.5), (0.75, 0.02, 0.54), (1.2, 0.06, 0.58)], 0.05, 0.5)
@@ -22,7 +22,7 @@ def saucepan() -> Objects:
 
 
 def vase() -> Objects:
-    """A vase of white glaze with blue bands and a narrow, open neck."""
+    """A vase of white glaze with a blue band and a narrow, open neck."""
     u, v = uvgrid(512)
     band = (
         (np.abs(v - 0.35) < 0.04) | (np.abs(v - 0.55) < 0.02) | (np.sin(u * 50) * (v > 0.6) > 0.7)

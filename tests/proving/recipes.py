@@ -88,6 +88,7 @@ RECIPES = {
     "plate": Recipe(h.plate, p.planks, "office", p.rings, seed=67),
     "cup": Recipe(h.cup, p.stone, "attic", p.rings, seed=69, checking=True),
     "saucepan": Recipe(k.saucepan, p.planks, "square", p.spiral, seed=71),
+    "pan": Recipe(k.saucepan, papers, "attic", p.rings, seed=77, checking=True),
     "vase": Recipe(k.vase, p.gingham, "office", p.rings, seed=73, checking=True),
     "lamp": Recipe(k.lamp, papers, "room_b", p.spiral, seed=75, drift=0.05),
 }
