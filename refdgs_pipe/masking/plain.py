@@ -30,7 +30,9 @@ SECTORS = 8  # of outward directions
 # Share of the photos across that see something else: median of the sectors, and all but one
 HIDDEN, HIDDEN_LEAST = 0.55, 0.4
 SHOWN = 0.2  # the same share of the photos before the border, at most
-GOES_ON = 0.6  # how much as often a photo across sees the region's colour outside as inside
+# How much as often as inside a photo across sees the region's colour outside, at least. A low foot
+# hides no more than a narrow strip, so this may also hold for what hides the outside
+GOES_ON = 0.6
 OFTEN = 0.2  # how often it sees it inside, at least
 # How often a photo before the border sees the region's colour inside, at least: median
 FOOT = 0.6
@@ -154,12 +156,15 @@ def _hides(region: Bools, colour: F32, seen: F32, cameras: F64, place: F64) -> t
     outer, inner = _Border.of(~region, place, 1.0), _Border.of(region, place, -1.0)
     agreed = colour[outer.cells]
     other = np.abs(agreed - own).max(-1) > DIFFERS
-    hidden, as_outside, as_inside = (_Shares() for _ in range(3))
+    hidden, as_outside, as_inside, by_itself = (_Shares() for _ in range(4))
     for camera, photo in zip(cameras, seen, strict=True):
         shown = photo[outer.cells]
         told = np.isfinite(shown[:, 0]) & other
-        hidden.add(outer, camera, told, np.abs(shown - agreed).max(-1) > DIFFERS)
-        as_outside.add(outer, camera, told, np.abs(shown - own).max(-1) < LIKE)
+        differs = np.abs(shown - agreed).max(-1) > DIFFERS
+        alike = np.abs(shown - own).max(-1) < LIKE
+        hidden.add(outer, camera, told, differs)
+        as_outside.add(outer, camera, told, alike)
+        by_itself.add(outer, camera, told & differs, alike)
         shown = photo[inner.cells]
         told = np.isfinite(shown[:, 0])
         as_inside.add(inner, camera, told, np.abs(shown - own).max(-1) < LIKE)
@@ -170,6 +175,6 @@ def _hides(region: Bools, colour: F32, seen: F32, cameras: F64, place: F64) -> t
         and hides[1] > HIDDEN_LEAST
         and np.median(hidden.before.by_sector) < SHOWN
         and often > OFTEN
-        and as_outside.across.whole > GOES_ON * often
+        and max(as_outside.across.whole, by_itself.across.whole) > GOES_ON * often
     )
     return bool(body), bool(np.median(as_inside.before.by_sector) > FOOT)

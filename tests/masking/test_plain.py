@@ -20,9 +20,10 @@ def feet(boxes: list[Box]) -> Bools:
     return bodies(boxes)[0]
 
 
-def test_a_plain_plinth_below_a_bright_post_is_found_where_it_stands() -> None:
-    post: Box = ((-0.1, -0.1, 0.25), (0.1, 0.1, 0.9), WHITE)
-    found = feet([BODY, post])
+@pytest.mark.parametrize("height", [0.25, 0.05], ids=["a plinth", "a low foot"])
+def test_a_plain_foot_below_a_bright_post_is_found_where_it_stands(height: float) -> None:
+    post: Box = ((-0.1, -0.1, height), (0.1, 0.1, 0.9), WHITE)
+    found = feet([((-0.4, -0.3, 0.0), (0.4, 0.3, height), BLACK), post])
     place = ((np.arange(N) + 0.5) / N * 2 - 1) * REACH
     x, y = np.meshgrid(place, place)
     true = (np.abs(x) < 0.4) & (np.abs(y) < 0.3)

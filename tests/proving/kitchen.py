@@ -1,11 +1,11 @@
-"""Objects of the kitchen and the desk: an open pan, a vase with a narrow neck, a lamp.
+"""Objects of the kitchen and the desk: an open pan, a vase with a narrow neck, a lamp, a globe.
 
 Units are scene units, z is up. An object stands at `TABLE_Z` and fits into a ball of radius 1.3.
 """
 
 import geom
 import numpy as np
-from objects import TABLE_Z, Objects, _tube, _turned
+from objects import TABLE_Z, Objects, _box, _tube, _turned
 from scenes import LIN, mix, obj, uvgrid
 
 
@@ -50,4 +50,26 @@ def lamp() -> Objects:
         obj("arm", arm, type="metal", preset="Cr", alpha=0.05),
         obj("dome", shade[0], type="gloss", base=LIN("1c5a3a"), alpha=0.05),
         obj("inner", shade[1], type="gloss", base=LIN("e8e6e0"), alpha=0.2),
+    ]
+
+
+def globe() -> Objects:
+    """A ball of red lacquer on a steel rod, on a low, square, white foot."""
+    ball = geom.sphere(0.45, (0, 0, TABLE_Z + 0.95))
+    return [
+        obj(
+            "foot",
+            _box((0.45, 0.45, 0.035), (0, 0, TABLE_Z + 0.035), 20),
+            type="gloss",
+            base=LIN("e6e2d8"),
+            alpha=0.05,
+        ),
+        obj(
+            "rod",
+            _tube([(0, 0, 0.05), (0, 0, 0.3), (0, 0, 0.55)], 0.03),
+            type="metal",
+            preset="Cr",
+            alpha=0.08,
+        ),
+        obj("ball", ball, type="gloss", base=LIN("8f1414"), alpha=0.04),
     ]

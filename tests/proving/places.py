@@ -98,7 +98,6 @@ def dots(seed: int, n: int = 2048) -> np.ndarray:
     return np.clip(mat * weave[..., None], 0.01, 0.9)
 
 
-# ---- rooms
 def vinyl(seed: int, n: int = 2048) -> np.ndarray:
     """Printed black and white checks, all exactly equal."""
     u, v = uvgrid(n)
@@ -120,6 +119,14 @@ def bricks(seed: int, n: int = 2048) -> np.ndarray:
     return np.clip(np.where(mortar[..., None], LIN("b5aca0"), brick), 0.01, 0.9)
 
 
+def placemat(seed: int, n: int = 2048) -> np.ndarray:
+    """The planks, with a plain, dark blue, round mat in the middle that lies flat."""
+    u, v = uvgrid(n)
+    on = (np.hypot(u - 0.5, v - 0.5) < 0.13)[..., None]
+    return np.where(on, LIN("23304f"), planks(seed, n))
+
+
+# ---- rooms
 def _rooms() -> None:
     muted, vivid = env.MUTED, env.VIVID
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import desk as d
 import household as h
 import kitchen as k
 import more_objects as m
@@ -91,4 +92,12 @@ RECIPES = {
     "pan": Recipe(k.saucepan, papers, "attic", p.rings, seed=77, checking=True),
     "vase": Recipe(k.vase, p.gingham, "office", p.rings, seed=73, checking=True),
     "lamp": Recipe(k.lamp, papers, "room_b", p.spiral, seed=75, drift=0.05),
+    "globe": Recipe(k.globe, p.planks, "square", p.rings, seed=79, checking=True),
+    "screen": Recipe(d.screen, papers, "office", p.rings, seed=83, checking=True),
+    "headphones": Recipe(d.headphones, p.stone, "attic", p.rings, seed=85),
+    "clock": Recipe(d.clock, p.planks, "room_b", p.spiral, seed=87, checking=True),
+    "tap": Recipe(d.tap, p.mosaic, "square", p.spiral, seed=89, drift=0.05),
+    "chessmen": Recipe(d.chessmen, papers, "office", p.rings, seed=91, checking=True),
+    "spoon": Recipe(d.spoon, p.stone, "room_b", p.rings, seed=93, checking=True),
+    "mat": Recipe(k.vase, p.placemat, "attic", p.spiral, seed=81, checking=True),
 }
