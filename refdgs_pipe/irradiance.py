@@ -79,22 +79,6 @@ def links_of(faces: NDArray[np.int32]) -> Ints:
     return np.unique(np.sort(edges.astype(np.int64), axis=1), axis=0)
 
 
-def patches(chosen: Ints, links: Ints, count: int) -> Ints:
-    """(N,) which connected patch each of the chosen vertices (N,) belongs to.
-
-    Args:
-        links: (E, 2) neighbours; count: of all vertices.
-    """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    row = np.full(count, -1, np.int64)
-    row[chosen] = np.arange(len(chosen))
-    a, b = row[links[(row[links] >= 0).all(1)]].T
-    graph = coo_array((np.ones(len(a)), (a, b)), shape=(len(chosen), len(chosen)))
-    return np.asarray(connected_components(graph, directed=False)[1], np.int64)
-
-
 def spread(values: F32, links: Ints) -> F32:
     """(V, C) the mean of each vertex and the mean of its neighbours."""
     total = np.zeros(values.shape, np.float64)

@@ -126,8 +126,8 @@ _ASPECTS = (
         16.0,
         26.0,
         lambda e: f"{e.psnr:.0f} dB on the object",
-        "train longer (the recipe `glossy`, or more `train.iterations`), or take sharper photos "
-        "with the same exposure",
+        "train longer (after `preview` the recipe `glossy`, else more `train.iterations`), or take "
+        "sharper photos with the same exposure",
         (
             "Seen from a new place, the object looks blurred or wrong",
             "Seen from a new place, the object lacks fine detail",

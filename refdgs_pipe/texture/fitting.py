@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from refdgs_pipe.artifacts.appearance import Appearance
 from refdgs_pipe.artifacts.mesh import TriangleMesh
 from refdgs_pipe.ground_light import GroundLight
-from refdgs_pipe.irradiance import Sky, links_of, look_around, patches, spread
+from refdgs_pipe.irradiance import Sky, links_of, look_around, spread
 from refdgs_pipe.light import SMOOTHEST, Environment, blur, lookups, solid_angles, texel_directions
+from refdgs_pipe.texture.false_metal import false_metal
 from refdgs_pipe.texture.mean_light import MeanLight
 from refdgs_pipe.texture.sampling import Samples
 from refdgs_pipe.texture.unknowns import Batch, State, Unknown
@@ -288,18 +289,10 @@ class _Problem:
         return state
 
     def without_false_metal(self, state: State) -> State:
-        """Metal stays where it explains what the views show better than one colour a place does.
-
-        Where the mesh is not the surface, colours vary from view to view as a metal's do. Whole
-        patches are judged, so that a metal that is fitted well in most places stays whole.
-        """
-        metal = np.flatnonzero(state.metallic > 0.5)
-        patch = patches(metal, self.links, len(state.metallic))
+        """Metal stays where it explains what the views show better than one colour a place does."""
         missed, varied = self._unexplained(state)
-        count = int(patch.max(initial=-1)) + 1
-        total = [np.bincount(patch, weights=v[metal], minlength=count) for v in (missed, varied)]
-        metallic = state.metallic.copy()
-        metallic[metal[(total[0] > total[1])[patch]]] = 0
+        false = false_metal(state.metallic > 0.5, missed, varied, self.sent, self.links)
+        metallic = np.where(false, 0, state.metallic).astype(np.float32)
         return self._lit(replace(state, metallic=metallic, told_metallic=metallic))
 
     def _unexplained(self, state: State) -> tuple[F32, F32]:

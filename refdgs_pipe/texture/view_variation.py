@@ -6,7 +6,6 @@ normal: a wrong one mirrors other light, but light that varies as much. Least sq
 every misplaced reflection for a rougher surface.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,10 +14,10 @@ from numpy.typing import NDArray
 
 from refdgs_pipe.irradiance import spread
 from refdgs_pipe.light import DIELECTRIC, Environment, reflected_share, reflection_line
+from refdgs_pipe.texture.evening import evened
 from refdgs_pipe.texture.sampling import Samples, seen_roughness
 
 F32 = NDArray[np.float32]
-F64 = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 _FAINT = 0.06  # light that varies less than this, linear, tells little about what mirrors it
@@ -33,11 +32,8 @@ _INEXACT = 1.3  # factor: the mirrored place is known roughly, so both vary less
 _RATHER = 0.5  # weight of that estimate against the other, where only the ground is mirrored
 _UNSURE = 1.5  # factor of the largest possible reflectance under far light, whose unit is unknown
 # Evening between neighbours:
-_LITTLE, _LEAST_EVIDENCE = 0.03, 0.01  # light that varies so much, linear, tells half; the least
 _EVEN = 0.12  # range, in edges, for each square root of the number of vertices
-_OTHER, _ACROSS = 0.25, 1e-4  # log colour of another material; the weight across its border
-_DIMMEST = 0.02  # linear, added to colours before logarithms
-_EXACT, _MOST_STEPS = 1e-4, 400  # of the solution
+_LITTLE, _LEAST_EVIDENCE = 0.03, 0.01  # light that varies so much, linear, tells half; the least
 # Roughness:
 _WIDELY = 16  # rounds, for roughness: places that mirror little contrast ask those that mirror more
 _UNTOLD = 0.05  # a deviation this much smaller, in logarithms, counts as that of the sharpest
@@ -95,7 +91,7 @@ class ViewVariation:
         most = (sent / np.maximum(had, 1e-4)).max(1) * (_UNSURE + (1 - _UNSURE) * known)
         varied = around.deviation(met) ** 2
         evidence = varied / (varied + np.float32(_LITTLE**2)) + np.float32(_LEAST_EVIDENCE)
-        found = _evened(np.minimum(found, most), evidence, sent, self.links)
+        found = evened(np.minimum(found, most), evidence, sent, self.links, _EVEN)
         return np.asarray(np.minimum(found, most), np.float32)
 
     def tint(self, light: Environment, roughness: F32) -> tuple[F32, F32]:
@@ -175,7 +171,7 @@ class ViewVariation:
         weight = trust + _ASSUMED
         value = (trust * found + _ASSUMED * _GRID[_GLOSSY]) / weight
         sent = wide.mean(np.clip(self.samples.photo, 0, 1))
-        return _evened(value, weight, sent, self.links)
+        return evened(value, weight, sent, self.links, _EVEN)
 
     def _seen(self, around: "_Around", metallic: F32) -> F32:
         """(V,) how much what is mirrored varies, as the field and the photos show it."""
@@ -251,60 +247,6 @@ class _Around:
         for _ in range(self.rounds):
             values = spread(values, self.links)
         return values
-
-
-def _evened(values: F32, evidence: F32, colors: F32, links: Ints) -> F32:
-    """(V,) near the values, and even between neighbours that look alike.
-
-    A part of one colour has one material. Least squares: evidence (k - value)^2 at each vertex, and
-    (k - k')^2 for each edge, times a weight that is small where the colour changes.
-
-    Args:
-        evidence: (V,) how much each value counts.
-        colors: (V, 3) linear, what is seen of each vertex in the mean; links: (E, 2).
-    """
-    a, b = links.T
-    count = len(values)
-    logs = np.log(np.maximum(colors, 0) + _DIMMEST)
-    apart = np.abs(logs[a] - logs[b]).max(1)
-    weight = (_EVEN**2 * count) * (np.exp(-((apart / _OTHER) ** 2)) + _ACROSS)
-    own = evidence.astype(np.float64)
-    diagonal = own + np.bincount(a, weight, count) + np.bincount(b, weight, count)
-
-    def applied(k: F64) -> F64:
-        return np.asarray(
-            diagonal * k
-            - np.bincount(a, weight * k[b], count)
-            - np.bincount(b, weight * k[a], count)
-        )
-
-    return _solved(applied, diagonal, own * values, values.astype(np.float64)).astype(np.float32)
-
-
-def _solved(applied: Callable[[F64], F64], diagonal: F64, wanted: F64, start: F64) -> F64:
-    """(V,) the solution of a positive definite system, by conjugate gradients.
-
-    Written here, because the sums of scipy's solver depend on the number of threads.
-
-    Args:
-        applied: the matrix times a vector; diagonal: (V,) of the matrix; wanted: (V,) right side.
-    """
-    found = start.copy()
-    rest = wanted - applied(found)
-    step = rest / diagonal
-    along, before = step.copy(), float((rest * step).sum())
-    enough = _EXACT**2 * max(before, 1e-30)
-    for _ in range(_MOST_STEPS):
-        if before <= enough:
-            break
-        turned = applied(along)
-        far = before / float((along * turned).sum())
-        found += far * along
-        rest -= far * turned
-        step = rest / diagonal
-        now = float((rest * step).sum())
-        along, before = step + now / before * along, now
-    return found
 
 
 def smooth_step(values: F32, low: float, high: float) -> F32:

@@ -11,7 +11,7 @@ from refdgs_pipe.irradiance import links_of
 from refdgs_pipe.light import DIELECTRIC, Environment, reflected_share, texel_directions
 from refdgs_pipe.texture.fitting import _corner_matrix
 from refdgs_pipe.texture.sampling import Samples, seen_roughness
-from refdgs_pipe.texture.view_variation import ViewVariation, _evened
+from refdgs_pipe.texture.view_variation import ViewVariation
 
 HEIGHT = 32
 BALL = sphere(8)
@@ -179,24 +179,3 @@ def test_the_colour_of_a_metal_is_told_by_the_ground_that_it_mirrors() -> None:
     tint, told = metal.tint(Environment(windows()), rough)
     assert told.min() > 0.9
     assert np.abs(np.median(tint, axis=0) - 0.65).max() < 0.05
-
-
-def strip(count: int = 400) -> np.ndarray:
-    """(E, 2) links of vertices in a row."""
-    return np.stack([np.arange(count - 1), np.arange(1, count)], 1)
-
-
-def test_values_are_even_where_colours_are_and_change_where_they_do() -> None:
-    random = np.random.default_rng(5)
-    left = np.arange(400) < 200
-    values = np.where(left, 0.6, 0.1) + 0.1 * random.normal(size=400)
-    colors = np.where(left[:, None], 0.5, 0.1) * np.ones((400, 3))
-    told = _evened(values.astype(np.float32), np.ones(400, np.float32), colors, strip())
-    assert np.abs(told[:190] - 0.6).max() < 0.15 and np.abs(told[210:] - 0.1).max() < 0.15
-
-
-def test_what_tells_little_takes_the_value_of_what_tells_much() -> None:
-    values, evidence = np.full(400, 0.6, np.float32), np.ones(400, np.float32)
-    values[150:170], evidence[150:170] = 0.0, 0.01
-    told = _evened(values, evidence, np.full((400, 3), 0.3, np.float32), strip())
-    assert told.min() > 0.5
