@@ -144,8 +144,8 @@ def _free_memory() -> tuple[str, str]:
     try:
         free, total = torch.cuda.mem_get_info()
     except RuntimeError as error:
-        return f"in use, its free memory is unknown: {_first_line(error)}", ""
-    text = f"in use, {size(free)} of {size(total)} of its memory free"
+        return f"will be used, its free memory is unknown: {_first_line(error)}", ""
+    text = f"will be used, {size(free)} of {size(total)} of its memory is free"
     if free >= LEAST_FREE:
         return text, ""
     return text, "Stop other programs on this GPU, or runs lower resolution or number of surfels"

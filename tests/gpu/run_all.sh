@@ -139,8 +139,22 @@ checker() {
     done
     compute-sanitizer --tool "$tool" "${only[@]}" --error-exitcode 9 "$python" "$@" --out "$work/$name-of.json"
 }
+# unwritten NAME SCRIPT...: what our kernels read before anything wrote it. It watches all kernels: it would take what
+# torch's wrote for unwritten otherwise. Torch gets memory from the driver each time: its pool hides much.
+unwritten() {
+    local name=$1 code
+    shift
+    PYTORCH_NO_CUDA_MEMORY_CACHING=1 compute-sanitizer --tool initcheck --print-limit 20000 \
+        "$python" "$@" --out "$work/$name-of.json" >"$work/$name.reads" 2>&1
+    code=$?
+    grep -v '^=========' "$work/$name.reads"
+    grep -A 1 Uninitialized "$work/$name.reads" | sed -n 's/^=* *at \([^<(]*\).*/read in \1/p' | sort | uniq -c
+    grep SUMMARY "$work/$name.reads"
+    grep -A 1 Uninitialized "$work/$name.reads" | grep refdgs:: && return 9 # torch's own reads are not ours
+    return $code
+}
 export emulator
-export -f build doctor checker
+export -f build doctor checker unwritten
 
 small=() tiny=() few=() short=()
 if [ "$device" = emulated ]; then
@@ -159,9 +173,10 @@ step timing timing 40 "$python" "$at/timing.py" --device "$device" "${small[@]}"
 graph=auto # where recorded steps fail, which can take the GPU's context along, the training goes without
 step graph timing 40 "$python" "$at/graph.py" "${tiny[@]}" --out "$work/graph.json" || graph=off
 if [ "$device" = cuda ] && command -v compute-sanitizer >/dev/null; then
-    for tool in memcheck racecheck initcheck synccheck; do
+    for tool in memcheck racecheck synccheck; do
         step $tool checks 25 bash -c "checker $tool $tool '$at/parity.py' --small --once"
     done
+    step initcheck checks 40 bash -c "unwritten initcheck '$at/parity.py' --small --once"
     step replay checks 30 bash -c "checker memcheck replay '$at/graph.py' --side 64 --iterations 12 --surfels 300"
 fi
 room=$(left)

@@ -137,7 +137,13 @@ exit 0
 SANITIZER = """#!/bin/bash
 [ "$1" = --help ] && exit 0
 [ "$STUCK" = "$2" ] && sleep 60
-echo "ERROR SUMMARY: 0 errors"
+if [ "$2" = initcheck ]; then
+    echo "========= Uninitialized __global__ memory read of size 4 bytes"
+    echo "=========     at void ${READER:-at::native::add}<float>(int)+0x3a0"
+    echo "========= ERROR SUMMARY: 1 error"
+else
+    echo "ERROR SUMMARY: 0 errors"
+fi
 """
 CHECKERS = ["memcheck", "racecheck", "initcheck", "synccheck", "replay"]
 STEPS = ["build", "doctor", "headline", "parity", "timing", "graph", *CHECKERS[:4], "training"]
@@ -177,6 +183,26 @@ def test_a_step_that_hangs_takes_no_other_step_s_record_along(tmp_path: Path, st
     files = sorted(path.name for path in out.iterdir())
     assert len(files) == 8 and {"report.md", "report.json"} < set(files)
     assert not [path for path in tmp_path.iterdir() if path not in (tools, out)]
+
+
+@pytest.mark.parametrize(("reader", "code"), [("at::native::add", 0), ("refdgs::cuda::enter", 9)])
+def test_initcheck_fails_for_reads_of_our_kernels_only(
+    tmp_path: Path, reader: str, code: int
+) -> None:
+    tool = tmp_path / "compute-sanitizer"
+    tool.write_text(SANITIZER)
+    tool.chmod(0o755)
+    lines = (CHECKS / "run_all.sh").read_text().splitlines()
+    begin = lines.index("unwritten() {")
+    function = "\n".join(lines[begin : lines.index("}", begin) + 1])
+    done = subprocess.run(
+        ["bash", "-c", f"{function}\nunwritten initcheck parity.py"],
+        env={"PATH": f"{tmp_path}{os.pathsep}{os.environ['PATH']}", "READER": reader, "STUCK": "",
+             "work": str(tmp_path), "python": "python"},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == code
+    assert f"1 read in void {reader}" in done.stdout and "ERROR SUMMARY" in done.stdout
 
 
 TOLD = """ptxas info    : 0 bytes gmem
