@@ -152,11 +152,11 @@ def _hides(region: Bools, colour: F32, seen: F32, cameras: F64, place: F64) -> t
     Args:
         cameras: (N, 2) and place: (n, n, 2), on the plane's axes.
     """
-    own = np.median(colour[region], axis=0)
+    own = np.nanmedian(colour[region], axis=0)
     outer, inner = _Border.of(~region, place, 1.0), _Border.of(region, place, -1.0)
     agreed = colour[outer.cells]
     other = np.abs(agreed - own).max(-1) > DIFFERS
-    hidden, as_outside, as_inside, by_itself = (_Shares() for _ in range(4))
+    hidden, as_outside, as_inside, where_hidden = (_Shares() for _ in range(4))
     for camera, photo in zip(cameras, seen, strict=True):
         shown = photo[outer.cells]
         told = np.isfinite(shown[:, 0]) & other
@@ -164,7 +164,7 @@ def _hides(region: Bools, colour: F32, seen: F32, cameras: F64, place: F64) -> t
         alike = np.abs(shown - own).max(-1) < LIKE
         hidden.add(outer, camera, told, differs)
         as_outside.add(outer, camera, told, alike)
-        by_itself.add(outer, camera, told & differs, alike)
+        where_hidden.add(outer, camera, told & differs, alike)
         shown = photo[inner.cells]
         told = np.isfinite(shown[:, 0])
         as_inside.add(inner, camera, told, np.abs(shown - own).max(-1) < LIKE)
@@ -175,6 +175,6 @@ def _hides(region: Bools, colour: F32, seen: F32, cameras: F64, place: F64) -> t
         and hides[1] > HIDDEN_LEAST
         and np.median(hidden.before.by_sector) < SHOWN
         and often > OFTEN
-        and max(as_outside.across.whole, by_itself.across.whole) > GOES_ON * often
+        and max(as_outside.across.whole, where_hidden.across.whole) > GOES_ON * often
     )
     return bool(body), bool(np.median(as_inside.before.by_sector) > FOOT)

@@ -11,19 +11,23 @@ Ints = NDArray[np.int64]
 
 _OTHER, _ACROSS = 0.25, 1e-4  # log colour of another material; the weight across its border
 _DIMMEST = 0.02  # linear, added to colours before logarithms
-_EXACT, _MOST_STEPS = 1e-4, 400  # of the solution
+_EXACT, _MOST_STEPS = 1e-4, 2000  # of the solution, beside the first residual
 
 
-def evened(values: F32, evidence: F32, colors: F32, links: Ints, reach: float) -> F32:
+def evened(
+    values: F32, evidence: F32, colors: F32, links: Ints, reach: float, exact: float = _EXACT
+) -> F32:
     """(V,) near the values, and even between neighbours that look alike.
 
     A part of one colour has one material. Least squares: evidence (k - value)^2 at each vertex, and
     (k - k')^2 for each edge, times a weight that is small where the colour changes.
 
     Args:
-        evidence: (V,) how much each value counts.
+        evidence: (V,) how much each value counts, above 0.
         colors: (V, 3) linear, what is seen of each vertex in the mean; links: (E, 2).
         reach: in edges, for each square root of the number of vertices.
+        exact: residual at which the solution ends, beside the first. The longer the reach, the
+            smaller it has to be.
     """
     a, b = links.T
     count = len(values)
@@ -40,10 +44,13 @@ def evened(values: F32, evidence: F32, colors: F32, links: Ints, reach: float) -
             - np.bincount(b, weight * k[a], count)
         )
 
-    return _solved(applied, diagonal, own * values, values.astype(np.float64)).astype(np.float32)
+    start = values.astype(np.float64)
+    return _solved(applied, diagonal, own * values, start, exact).astype(np.float32)
 
 
-def _solved(applied: Callable[[F64], F64], diagonal: F64, wanted: F64, start: F64) -> F64:
+def _solved(
+    applied: Callable[[F64], F64], diagonal: F64, wanted: F64, start: F64, exact: float
+) -> F64:
     """(V,) the solution of a positive definite system, by conjugate gradients.
 
     Written here, because the sums of scipy's solver depend on the number of threads.
@@ -55,7 +62,7 @@ def _solved(applied: Callable[[F64], F64], diagonal: F64, wanted: F64, start: F6
     rest = wanted - applied(found)
     step = rest / diagonal
     along, before = step.copy(), float((rest * step).sum())
-    enough = _EXACT**2 * max(before, 1e-30)
+    enough = exact**2 * max(before, 1e-30)
     for _ in range(_MOST_STEPS):
         if before <= enough:
             break

@@ -15,8 +15,9 @@ F32 = NDArray[np.float32]
 Bools = NDArray[np.bool_]
 
 _LENIENT = 1.75  # a metal on a mesh that is a little wrong mirrors other light than the views show
-_REACH = 0.4  # range, in edges, for each square root of the number of vertices
-_NO_EVIDENCE = 1e-3  # of what has not been taken for metal; it has no neighbours either
+_REACH = 0.3  # range, in edges, for each square root of the number of vertices
+_LEAST_EVIDENCE = 1e-3  # of what no view shows
+_EXACT = 1e-6  # of the solution
 
 
 def false_metal(
@@ -34,8 +35,9 @@ def false_metal(
         return metal
     bound = _LENIENT * varied
     both = missed + bound
-    evidence = np.where(metal, both / max(float(both[metal].mean()), 1e-9), _NO_EVIDENCE)
+    share = both / max(float(both[metal].mean()), 1e-9)
+    evidence = np.maximum(np.where(metal, share, 0), _LEAST_EVIDENCE).astype(np.float32)
     value = np.where(metal, (missed - bound) / np.maximum(both, 1e-9), 0)
     within = links[metal[links].all(1)]
-    found = evened(value.astype(np.float32), evidence.astype(np.float32), colors, within, _REACH)
+    found = evened(value.astype(np.float32), evidence, colors, within, _REACH, _EXACT)
     return np.asarray(metal & (found > 0))

@@ -139,8 +139,9 @@ checker() {
     done
     compute-sanitizer --tool "$tool" "${only[@]}" --error-exitcode 9 "$python" "$@" --out "$work/$name-of.json"
 }
-# unwritten NAME SCRIPT...: what our kernels read before anything wrote it. It watches all kernels: it would take what
-# torch's wrote for unwritten otherwise. Torch gets memory from the driver each time: its pool hides much.
+# unwritten NAME SCRIPT...: what kernels other than torch's read before anything wrote it. It watches all kernels;
+# otherwise it would report what torch's kernels wrote as unwritten. Torch gets memory from the driver each time: its pool
+# hides much.
 unwritten() {
     local name=$1 code
     shift
@@ -149,8 +150,11 @@ unwritten() {
     code=$?
     grep -v '^=========' "$work/$name.reads"
     grep -A 1 Uninitialized "$work/$name.reads" | sed -n 's/^=* *at \([^<(]*\).*/read in \1/p' | sort | uniq -c
-    grep SUMMARY "$work/$name.reads"
-    grep -A 1 Uninitialized "$work/$name.reads" | grep refdgs:: && return 9 # torch's own reads are not ours
+    if ! grep SUMMARY "$work/$name.reads"; then # the tool itself failed
+        grep '^=========' "$work/$name.reads" | head -n 40
+        return 9
+    fi
+    grep -A 1 Uninitialized "$work/$name.reads" | grep '^=* *at ' | grep -v 'at::\|at_cuda_detail\|c10::' && return 9
     return $code
 }
 export emulator

@@ -54,3 +54,10 @@ def test_where_a_body_hangs_what_photos_agree_on_is_not_the_plane() -> None:
     assert (hangs & over).sum() > 0.6 * hangs.sum()
     for boxes in ([FLAT], [], [BODY]):
         assert not bodies(boxes)[1].any()
+
+
+def test_a_cell_that_no_photo_shows_does_not_hide_a_plinth() -> None:
+    seen = shown([BODY])
+    colour = np.median(seen, axis=0)
+    colour[N // 2, N // 2] = np.nan
+    assert plain_bodies(colour, seen, GROUND, cameras(), 1.0)[0].sum() > 1000

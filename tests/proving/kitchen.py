@@ -1,4 +1,4 @@
-"""Objects of the kitchen and the desk: an open pan, a vase with a narrow neck, a lamp, a globe.
+"""An open pan, a vase with a narrow neck, a lamp and a globe.
 
 Units are scene units, z is up. An object stands at `TABLE_Z` and fits into a ball of radius 1.3.
 """
@@ -54,7 +54,7 @@ def lamp() -> Objects:
 
 
 def globe() -> Objects:
-    """A ball of red lacquer on a steel rod, on a low, square, white foot."""
+    """A ball of red lacquer on a chrome rod, on a low, square, white foot."""
     ball = geom.sphere(0.45, (0, 0, TABLE_Z + 0.95))
     return [
         obj(

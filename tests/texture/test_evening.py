@@ -1,6 +1,8 @@
 """Values are evened within a material, and false metal is told from true metal beside it."""
 
 import numpy as np
+from scipy.sparse import coo_array, diags_array
+from scipy.sparse.linalg import spsolve
 
 from refdgs_pipe.texture.evening import evened
 from refdgs_pipe.texture.false_metal import false_metal
@@ -44,7 +46,7 @@ def test_a_print_beside_a_metal_does_not_make_it_plastic() -> None:
 def test_a_metal_stays_whole_where_the_mesh_is_wrong_in_a_place() -> None:
     _, colors, varied = two_parts()
     missed = 0.6 * varied
-    missed[60:70] *= 5
+    missed[62:66] *= 5
     assert not false_metal(np.ones(400, bool), missed, varied, colors, strip()).any()
 
 
@@ -54,3 +56,34 @@ def test_what_is_no_metal_is_not_judged_and_tells_nothing_of_its_neighbours() ->
     false = false_metal(~left, missed, varied, np.full((400, 3), 0.3), strip())
     assert not false.any()
     assert not false_metal(np.zeros(400, bool), missed, varied, colors, strip()).any()
+
+
+def test_a_metal_that_no_view_shows_does_not_disturb_the_others() -> None:
+    left, colors, varied = two_parts()
+    missed = varied * np.where(left, 0.6, 15.0)
+    metal = np.ones(400, bool)
+    metal[[100, 102]] = False
+    missed[101] = varied[101] = 0.0  # alone, and not seen
+    false = false_metal(metal, missed, varied, colors, strip())
+    assert not false[:195].any() and false[205:].all()
+
+
+def test_a_long_reach_is_solved_to_the_end() -> None:
+    random, side = np.random.default_rng(3), 60
+    index = np.arange(side * side).reshape(side, side)
+    links = np.concatenate(
+        [
+            np.stack([a.ravel(), b.ravel()], 1)
+            for a, b in ((index[1:], index[:-1]), (index[:, 1:], index[:, :-1]))
+        ]
+    )
+    count, reach = side * side, 0.4
+    values = random.normal(size=count).astype(np.float32)
+    evidence = random.uniform(0.1, 2, count).astype(np.float32)
+    found = evened(values, evidence, np.full((count, 3), 0.3), links, reach, 1e-6)
+    weight = np.full(len(links), reach**2 * count * (1 + 1e-4))
+    graph = coo_array((weight, tuple(links.T)), shape=(count, count)).tocsr()
+    graph = graph + graph.T
+    matrix = diags_array(evidence + graph.sum(1)) - graph
+    true = spsolve(matrix.tocsc(), evidence * values)
+    assert np.abs(found - true).max() < 1e-3

@@ -185,8 +185,16 @@ def test_a_step_that_hangs_takes_no_other_step_s_record_along(tmp_path: Path, st
     assert not [path for path in tmp_path.iterdir() if path not in (tools, out)]
 
 
-@pytest.mark.parametrize(("reader", "code"), [("at::native::add", 0), ("refdgs::cuda::enter", 9)])
-def test_initcheck_fails_for_reads_of_our_kernels_only(
+@pytest.mark.parametrize(
+    ("reader", "code"),
+    [
+        ("at::native::add", 0),
+        ("at_cuda_detail::cub::Scan", 0),
+        ("refdgs::cuda::enter", 9),
+        ("cub::DeviceScan", 9),
+    ],
+)
+def test_initcheck_fails_for_reads_of_kernels_that_are_not_torchs(
     tmp_path: Path, reader: str, code: int
 ) -> None:
     tool = tmp_path / "compute-sanitizer"
