@@ -11,7 +11,8 @@ Ints = NDArray[np.int64]
 
 _OTHER, _ACROSS = 0.25, 1e-4  # log colour of another material; the weight across its border
 _DIMMEST = 0.02  # linear, added to colours before logarithms
-_EXACT, _MOST_STEPS = 1e-4, 2000  # of the solution, beside the first residual
+_EXACT = 1e-4  # residual of the solution, beside the first one
+_MOST_STEPS = 2000
 
 
 def evened(

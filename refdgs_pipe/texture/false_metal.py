@@ -1,4 +1,4 @@
-"""What was taken for metal, but shows one colour in all views.
+"""What was taken for metal, but is rather of one colour in all views.
 
 Where the mesh is not the surface, colours vary from view to view as a metal's do. A print on a
 clock's face, seen through a wrong mesh, looks like a metal that mirrors something. Neighbours of
@@ -23,7 +23,7 @@ _EXACT = 1e-6  # of the solution
 def false_metal(
     metal: Bools, missed: F32, varied: F32, colors: F32, links: NDArray[np.int64]
 ) -> Bools:
-    """(V,) the vertices of what was taken for metal that one colour a place explains better.
+    """(V,) which metal is none: where one colour a place explains the views much better.
 
     Args:
         metal: (V,) what was taken for metal.

@@ -289,7 +289,7 @@ class _Problem:
         return state
 
     def without_false_metal(self, state: State) -> State:
-        """Metal stays where it explains what the views show better than one colour a place does."""
+        """Metal stays unless one colour a place explains what the views show much better."""
         missed, varied = self._unexplained(state)
         false = false_metal(state.metallic > 0.5, missed, varied, self.sent, self.links)
         metallic = np.where(false, 0, state.metallic).astype(np.float32)

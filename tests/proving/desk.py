@@ -17,11 +17,11 @@ def screen() -> Objects:
     """A flat screen of black glass that leans back, on a satin metal stand."""
     lean = geom.rot("z", 25) @ geom.rot("x", -12)
     pane = geom.xf(geom.rounded_box((0.8, 0.035, 0.48), 0.015), lean, (0, 0, TABLE_Z + 0.78))
-    back = geom.xf(geom.rounded_box((0.78, 0.03, 0.46), 0.015), lean, lean @ [0, 0.05, 0])
-    back["V"] = back["V"] + np.array([0, 0, TABLE_Z + 0.78])
+    behind = lean @ [0, 0.05, 0] + [0, 0, TABLE_Z + 0.78]
+    back = geom.xf(geom.rounded_box((0.78, 0.03, 0.46), 0.015), lean, behind)
     turn = geom.rot("z", 25)
-    neck = geom.xf(geom.rounded_box((0.09, 0.025, 0.32), 0.015), turn, turn @ [0, 0.13, 0])
-    neck["V"] = neck["V"] + np.array([0, 0, TABLE_Z + 0.34])
+    below = turn @ [0, 0.13, 0] + [0, 0, TABLE_Z + 0.34]
+    neck = geom.xf(geom.rounded_box((0.09, 0.025, 0.32), 0.015), turn, below)
     foot = _box((0.34, 0.26, 0.025), (0, 0, TABLE_Z + 0.025), 25)
     satin = {"type": "metal", "preset": "Al", "alpha": 0.15}
     return [
@@ -121,12 +121,10 @@ def chessmen() -> Objects:
         ("ivory", pawn, (0.25, 0.35), {"type": "gloss", "base": LIN("e8dcc0"), "alpha": 0.06}),
         ("brass", pawn, (0.3, -0.35), {"type": "metal", "preset": "Au", "alpha": 0.06}),
     )
-    out = []
-    for name, profile, (x, y), look in looks:
-        piece = _turned(profile, 0.015)
-        piece["V"] = piece["V"] + np.array([x, y, 0.0])
-        out.append(obj(name, piece, **look))
-    return out
+    return [
+        obj(name, geom.xf(_turned(profile, 0.015), None, (x, y, 0)), **look)
+        for name, profile, (x, y), look in looks
+    ]
 
 
 def spoon() -> Objects:
