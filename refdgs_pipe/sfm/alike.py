@@ -22,6 +22,7 @@ Ints = NDArray[np.int64]
 CLOSE_DEG = 15.0  # between the rays of two photos to the points that both see, in the median
 SHARED = 10  # points that two photos have to share
 SIDE = 800  # pixels, of the photos that are compared
+LIKELY_DEG, ENOUGH = 12.0, 10  # pairs further apart count only up to so many: more is hidden
 NEAR_DEG = 8.0  # the same between photos that see the same light
 MOST_PAIRS = 60  # that are compared, the closest first
 MOST_POINTS = 150  # of a photo, looked up in another
@@ -56,8 +57,11 @@ class Agreement:
 def agreement(model: SparseModel, views: Views) -> Agreement:
     """Compare the photos that were placed close together."""
     pictures = _Pictures(views, model)
-    shares, uneven = [], []
+    shares: list[float] = []
+    uneven: list[float] = []
     for pair in _close(model)[:MOST_PAIRS]:
+        if pair.angle >= LIKELY_DEG and len(shares) >= ENOUGH:
+            break
         light, _, contrast = pictures.compared(pair.one, pair.other, model.points[pair.shared])
         if not len(light) or not 1 / SHARPER < np.median(contrast) < SHARPER:
             continue

@@ -95,8 +95,8 @@ def render(out: Path, recipe: Any, light: str, wanted: argparse.Namespace) -> No
         cameras = moving.turntable(photos, rng, recipe.seed)
     else:
         cameras = [
-            {"c2w": lookat(eye, at, roll=np.deg2rad(rng.normal(0, 2.5)))}
-            for eye, at in recipe.cameras(photos, rng)
+            {"c2w": lookat(eye, at, roll=roll[0] if roll else np.deg2rad(rng.normal(0, 2.5)))}
+            for eye, at, *roll in recipe.cameras(photos, rng)
         ]
     poses = [camera["c2w"] for camera in cameras]
     gains = 2.0 ** rng.normal(0, recipe.drift or 1e-9, len(poses))

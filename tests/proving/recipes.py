@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import desk as d
+import habits as b
 import household as h
 import kitchen as k
 import more_objects as m
@@ -99,5 +100,11 @@ RECIPES = {
     "tap": Recipe(d.tap, p.mosaic, "square", p.spiral, seed=89, drift=0.05),
     "chessmen": Recipe(d.chessmen, papers, "office", p.rings, seed=91, checking=True),
     "spoon": Recipe(d.spoon, p.stone, "room_b", p.rings, seed=93),
+    "closeups": Recipe(m.teapot, papers, "office", b.near_and_far, seed=95),
+    "distance": Recipe(d.clock, p.stone, "attic", b.far_away, seed=97),
+    "haste": Recipe(m.helmet, papers, "room_b", b.in_haste, seed=99, checking=True, photos=18),
+    "upright": Recipe(d.tap, p.planks, "office", b.turned, seed=101, checking=True),
+    "floor": Recipe(m.holder, p.mosaic, "attic", b.from_above, seed=103),
+    "lowly": Recipe(k.globe, p.stone, "office", b.from_low, seed=105, checking=True, photos=24),
     "mat": Recipe(k.vase, p.placemat, "attic", p.spiral, seed=81, checking=True),
 }

@@ -1,6 +1,7 @@
 """Photos that were placed close together have to show the same."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from refdgs_pipe.artifacts.sparse_model import Ball, SparseModel
 from refdgs_pipe.artifacts.views import Exif, View, Views
 from refdgs_pipe.camera import F64, Camera, Lens
+from refdgs_pipe.sfm import alike
 from refdgs_pipe.sfm.alike import Agreement, agreement
 
 SIDE, FOCAL = 160, 200.0
@@ -90,3 +92,29 @@ def test_photos_far_from_each_other_are_not_compared(tmp_path: Path) -> None:
     one = found(tmp_path, [board(0)], [1.0])
     assert one.pairs == 0
     assert one.share == pytest.approx(float("nan"), nan_ok=True)
+
+
+@pytest.mark.parametrize("close, far, share", [(12, 40, 1.0), (3, 40, 0.0), (3, 0, 1.0)])
+def test_pairs_further_apart_count_only_where_close_ones_are_few(
+    monkeypatch: pytest.MonkeyPatch, close: int, far: int, share: float
+) -> None:
+    """Close photos agree; more is hidden from one of two photos that are further apart."""
+    pairs = [(5.0, 1.0)] * close + [(14.0, 0.0)] * far
+
+    class Pictures:
+        def __init__(self, *_: object) -> None:
+            pass
+
+        def compared(self, one: Camera, *_: object) -> tuple[F64, F64, F64]:
+            like = float(one.name)
+            return np.zeros(40), np.full(40, like), np.ones(40)
+
+    def found_pairs(_: object) -> list[alike._Pair]:
+        rows = np.zeros(20, np.int64)
+        cameras = [(camera(str(like), 0.0), angle) for angle, like in pairs]
+        return [alike._Pair(one, one, angle, rows, rows) for one, angle in cameras]
+
+    monkeypatch.setattr(alike, "_close", found_pairs)
+    monkeypatch.setattr(alike, "_Pictures", Pictures)
+    model = SimpleNamespace(points=np.zeros((1, 3)))
+    assert agreement(model, None).share == share  # type: ignore[arg-type]
