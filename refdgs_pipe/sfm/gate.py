@@ -16,6 +16,7 @@ from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import F64, Camera
 from refdgs_pipe.errors import PoseError
 from refdgs_pipe.sfm.alike import Agreement, agreement
+from refdgs_pipe.sfm.gaps import gaps_of
 from refdgs_pipe.sfm.posed import model_from_poses
 from refdgs_pipe.sfm.trust import conflict, groups, reasons
 
@@ -34,7 +35,6 @@ BALL_PHOTOS = 0.5  # of the photos that have to see some of them
 BALL_SEEN = 5  # points that count as some
 SPREAD_DEG = 10.0  # between the directions that the object is seen from
 PARALLAX_DEG = 1.5  # median angle at which neighbouring photos see the points in the ball
-GAP_DEG = 60.0  # between neighbours round the object, from which on a gap is named
 NAMES_SHOWN = 8
 LIKE_PAIRS = 2  # of close photos
 LIKE_SHARE = 0.46  # of the points without a match, that look alike in them
@@ -156,36 +156,6 @@ def check_trusted(views: Views, judgement: Judgement, *, attempts: int) -> Spars
         "poses with the photos (transforms.json, sparse/0)"
     )
     raise PoseError("\n  ".join(parts))
-
-
-def gaps_of(model: SparseModel, said: Mapping[str, str]) -> tuple[str, ...]:
-    """Sentences on wide gaps between neighbouring photos round the object, widest first."""
-    around = _azimuths(model)
-    order = sorted(around, key=lambda name: around[name])
-    if len(order) < 3:
-        return ()
-    found = []
-    for name, after in zip(order, [*order[1:], order[0]], strict=True):
-        gap = (around[after] - around[name]) % 360.0
-        if gap >= GAP_DEG:
-            found.append((gap, name, after))
-    return tuple(
-        f"between {said[name]} and {said[after]} there is a gap of {gap:.0f} degrees"
-        for gap, name, after in sorted(found, reverse=True)
-    )
-
-
-def _azimuths(model: SparseModel) -> dict[str, float]:
-    """Name of a camera -> degrees round the up axis, seen from the object."""
-    up = model.up / np.linalg.norm(model.up)
-    side = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
-    side /= np.linalg.norm(side)
-    front = np.cross(up, side)
-    away = {camera.name: camera.center - model.ball.center for camera in model.cameras}
-    return {
-        name: float(np.degrees(np.arctan2(line @ front, line @ side)))
-        for name, line in away.items()
-    }
 
 
 def _model(views: Views, placement: Placement, lost: Mapping[str, str]) -> SparseModel | None:

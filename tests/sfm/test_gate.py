@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,8 @@ from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import F64
 from refdgs_pipe.errors import CorruptError, PoseError
 from refdgs_pipe.sfm.alike import Agreement
-from refdgs_pipe.sfm.gate import check_trusted, examine, gaps_of
+from refdgs_pipe.sfm.gaps import gaps_of
+from refdgs_pipe.sfm.gate import check_trusted, examine
 
 COUNT, POINTS, SIDE, FOCAL = 12, 400, 64, 80.0
 
@@ -81,7 +83,8 @@ def with_evidence(found: Placement, **changes: np.ndarray) -> Placement:
 
 def test_photos_all_round_an_object_pass(views: Views) -> None:
     judgement = examine(views, placement(EVENLY), least=0.7)
-    assert judgement.is_trusted and not judgement.lost and not judgement.gaps
+    assert judgement.is_trusted and not judgement.lost
+    assert not any("a gap" in text for text in judgement.gaps)
     assert len(check_trusted(views, judgement, attempts=1).cameras) == COUNT
 
 
@@ -170,8 +173,34 @@ def test_gaps_name_the_photos_on_both_sides(views: Views) -> None:
     judgement = examine(views, placement(ring([25.0 * i for i in range(COUNT)])), least=0.7)
     assert judgement.model is not None
     names = {f"IMG_{i}": f"IMG_{i}.png" for i in range(COUNT)}
-    (said,) = gaps_of(judgement.model, names)
+    said, _ = gaps_of(judgement.model, names)  # and all are from one height
     assert said == "between IMG_11.png and IMG_0.png there is a gap of 85 degrees"
+
+
+@pytest.mark.parametrize(
+    ("heights", "said"),
+    [
+        ((40.0, 60.0), "all photos look down from 40 degrees or more"),
+        ((10.0, 25.0), "no photo looks down from more than 25 degrees"),
+        ((10.0, 60.0), None),
+    ],
+)
+def test_heights_that_no_photo_was_taken_from_are_named(
+    heights: tuple[float, float], said: str | None
+) -> None:
+    angles = np.radians(30.0 * np.arange(12))
+    tilts = np.radians(np.resize(heights, 12))
+    places = np.stack(
+        [np.cos(tilts) * np.cos(angles), np.cos(tilts) * np.sin(angles), np.sin(tilts)], 1
+    )
+    cameras = [SimpleNamespace(name=f"{i}", center=3 * at) for i, at in enumerate(places)]
+    ball = SimpleNamespace(center=np.zeros(3))
+    model = SimpleNamespace(cameras=cameras, ball=ball, up=np.array([0.0, 0.0, 1.0]))
+    names = {f"{i}": f"{i}.jpg" for i in range(12)}
+    found = gaps_of(model, names)  # type: ignore[arg-type]
+    assert [text.split(":")[0] for text in found] == ([] if said is None else [said])
+    model.cameras = cameras[:4]  # they do not go round: up and down may mean nothing
+    assert all("gap" in text for text in gaps_of(model, names))  # type: ignore[arg-type]
 
 
 def test_a_placement_is_the_same_after_a_round_trip(tmp_path: Path) -> None:
