@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 F64 = NDArray[np.float64]
+ROOM = 1.1  # of a ball's radius, round which parts of photos are cut: outlines need both sides
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,40 @@ class Camera:
             return self
         size = (max(1, round(side * scale)) for side in (self.width, self.height))
         return self.resized(*size)
+
+    def part(self, left: int, right: int, top: int, bottom: int) -> "Camera":
+        """The camera of columns left to right - 1, rows top to bottom - 1, of its photo."""
+        K = self.K.copy()
+        K[:2, 2] -= (left, top)
+        return replace(self, width=right - left, height=bottom - top, K=K)
+
+    def box_of(self, center: F64, radius: float) -> tuple[int, int, int, int] | None:
+        """(left, right, top, bottom) of the pixels in which a ball can be seen; see `part`.
+
+        In the plane of the optical axis and the image's x axis (or y axis) the ball is a circle.
+        Its tangents from the origin are the directions to its centre, turned by asin(radius /
+        distance) both ways. None: no pixel shows it. The whole photo if it is around or beside
+        the camera.
+        """
+        R, t = self.cam_from_world[:3, :3], self.cam_from_world[:3, 3]
+        at = R @ center + t
+        box = []
+        for axis, whole in ((0, self.width), (1, self.height)):
+            distance = float(np.hypot(at[axis], at[2]))
+            ends = (0.0, float(whole))
+            if distance > radius:
+                toward = np.arctan2(at[axis], at[2]), np.arcsin(radius / distance)
+                angles = np.array([toward[0] - toward[1], toward[0] + toward[1]])
+                if (np.abs(angles) < np.pi / 2).all():
+                    seen = self.K[axis, axis] * np.tan(angles) + self.K[axis, 2]
+                    ends = (float(np.floor(seen[0])), float(np.ceil(seen[1])))
+            box += [int(min(max(end, 0), whole)) for end in ends]
+        return None if box[0] >= box[1] or box[2] >= box[3] else (box[0], box[1], box[2], box[3])
+
+    def framed(self, center: F64, radius: float) -> "Camera":
+        """The part that can show a ball, and some room, or all if no pixel shows it."""
+        box = self.box_of(center, ROOM * radius)
+        return self if box is None else self.part(*box)
 
     def pixel_rays(self) -> F64:
         """(H, W, 3) camera-space rays through the pixel centres, with z = 1."""

@@ -12,7 +12,7 @@ from refdgs_pipe.pipeline.stage import Job, stage
 from refdgs_pipe.texture.settings import AppearanceParams
 
 
-@stage(version=15, programs=("open3d-cpu", "scipy"), by_device=True)
+@stage(version=16, programs=("open3d-cpu", "scipy"), by_device=True)
 def appearance(
     mesh: Mesh,
     field: SurfelField,
@@ -23,7 +23,6 @@ def appearance(
     job: Job,
 ) -> Appearance:
     """Fit roughness, metal, colours and light, so that the asset looks as the field does."""
-    from refdgs_pipe.artifacts.photos import load_photo
     from refdgs_pipe.sfm.support import support_plane
     from refdgs_pipe.texture.below import light_below
     from refdgs_pipe.texture.fitting import fit, matte
@@ -44,7 +43,7 @@ def appearance(
     per_view = -(-params.samples // len(cameras))
     sampler = Sampler(mesh, tolerance=tolerance, per_view=per_view, ground=below)
     for camera in job.track(cameras, "looking at places"):
-        photo = load_photo(views, model, camera, scale=sampler.scale(camera))
+        photo = sampler.photo_of(views, model, camera)
         sampler.look(drawn, photo, camera, field.lighting)
     samples = sampler.samples()
     light = typical_light(field, samples.roughness, samples.specular, params.light)

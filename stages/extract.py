@@ -7,7 +7,7 @@ from refdgs_pipe.pipeline.stage import Job, stage
 from refdgs_pipe.surface.settings import ExtractParams
 
 
-@stage(version=3, programs=("open3d-cpu",), by_device=True)
+@stage(version=4, programs=("open3d-cpu",), by_device=True)
 def extract(field: SurfelField, model: SparseModel, params: ExtractParams, job: Job) -> RawMesh:
     """Fuse the depth that every camera sees of the field into one mesh."""
     from refdgs_pipe.surface.tsdf import Volume
@@ -23,7 +23,7 @@ def extract(field: SurfelField, model: SparseModel, params: ExtractParams, job: 
         ground=ground_below(model, field) if params.close else None,
     )
     for camera in job.track(model.cameras, "fusing depth"):
-        small = camera.fitted(params.pixels)
+        small = camera.framed(model.ball.center, model.ball.radius).fitted(params.pixels)
         volume.integrate(render_surface_map(field, small, device=job.device, threads=job.threads))
     mesh = volume.extract(min_views=min(params.min_views, volume.views))
     job.measure("views fused", volume.views)

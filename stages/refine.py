@@ -15,7 +15,7 @@ from refdgs_pipe.pipeline.stage import Job, stage
 from refdgs_pipe.training.settings import RefineParams
 
 
-@stage(version=1, by_device=True)
+@stage(version=2, by_device=True)
 def refine(
     views: Views,
     masks: Masks,

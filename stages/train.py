@@ -12,7 +12,7 @@ from refdgs_pipe.pipeline.stage import Job, stage
 from refdgs_pipe.training.settings import TrainParams
 
 
-@stage(version=15, by_device=True)
+@stage(version=16, by_device=True)
 def train(
     views: Views,
     masks: Masks,

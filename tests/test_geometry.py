@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scenes import look_at
 
+from refdgs_pipe.camera import ROOM
 from refdgs_pipe.color import fractions, srgb_from_linear, srgb_slope
 from refdgs_pipe.geometry import (
     homography_warp,
@@ -84,3 +85,31 @@ def test_the_slope_of_the_srgb_curve_is_its_difference() -> None:
 def test_whole_numbers_of_both_sizes_become_fractions() -> None:
     assert fractions(np.array([0, 255], np.uint8)).tolist() == [0, 1]
     assert fractions(np.array([0, 65535], np.uint16)).tolist() == [0, 1]
+
+
+@pytest.mark.parametrize("toward", [(0.0, 0.0, 0.0), (0.6, -0.3, 0.2), (-0.9, 0.2, 0.5)])
+def test_a_camera_knows_in_which_pixels_a_ball_can_be_seen(
+    toward: tuple[float, float, float],
+) -> None:
+    camera = look_at("a", np.array([3.0, 1.0, 1.0]))
+    center, radius = np.array(toward), 0.25
+    normals = unit(np.random.default_rng(0).normal(size=(20000, 3)))
+    pixels, _ = camera.project(center + radius * normals)
+    box = camera.box_of(center, radius)
+    assert box is not None
+    ends = np.concatenate([pixels.min(0), pixels.max(0)])[[0, 2, 1, 3]]
+    inside = np.clip(ends, 0, [camera.width, camera.width, camera.height, camera.height])
+    assert (np.abs(np.array(box) - inside) < 1.2).all()
+    part = camera.framed(center, radius)
+    box = camera.box_of(center, ROOM * radius)
+    assert box is not None
+    moved, _ = part.project(center[None])
+    whole, _ = camera.project(center[None])
+    np.testing.assert_allclose(moved, whole - [box[0], box[2]], atol=1e-9)
+
+
+def test_a_ball_around_the_camera_is_everywhere_and_one_aside_nowhere() -> None:
+    camera = look_at("a", np.array([3.0, 0.0, 0.0]))
+    assert camera.box_of(camera.center, 0.5) == (0, camera.width, 0, camera.height)
+    assert camera.box_of(np.array([2.0, 40.0, 0.0]), 0.5) is None
+    assert camera.framed(np.array([2.0, 40.0, 0.0]), 0.5) == camera

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TypeVar
 
 import cv2
@@ -74,9 +74,7 @@ def whole_shots(views: Views, model: SparseModel, side: int) -> Iterator[Shot]:
 def cut_to(shot: Shot, box: Box) -> Shot:
     """A part of a whole shot, as a copy: the whole can be freed."""
     left, right, top, bottom = box
-    K = shot.camera.K.copy()
-    K[:2, 2] -= (left, top)
-    camera = replace(shot.camera, width=right - left, height=bottom - top, K=K)
+    camera = shot.camera.part(*box)
     part = (slice(top, bottom), slice(left, right))
     return Shot(camera, shot.rgb[part].copy(), shot.valid[part].copy(), box, shot.whole)
 

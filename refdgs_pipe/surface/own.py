@@ -37,7 +37,8 @@ def own_surface(
     cameras = model.training_cameras
     volume = Volume(model.ball, voxel=p.voxel, band=p.band, min_alpha=p.min_alpha, ground=ground)
     for camera in track(cameras, "fusing depth"):
-        volume.integrate(draw(camera.fitted(p.pixels)))
+        framed = camera.framed(model.ball.center, model.ball.radius)
+        volume.integrate(draw(framed.fitted(p.pixels)))
     diameter = 2 * model.ball.radius
     raw: TriangleMesh = volume.extract(min_views=min(p.min_views, volume.views))
     if ground is not None:

@@ -71,7 +71,8 @@ def fitted(
     limit = _LIMIT * 2 * model.ball.radius
     outlines, patterns, glimpses = [], [], []
     for camera in track(cameras, "looking at outlines"):
-        view = draw(camera.fitted(_LONGEST))
+        framed = camera.framed(model.ball.center, model.ball.radius)
+        view = draw(framed.fitted(_LONGEST))
         outlines.append(Outline.of(view.camera, view.alpha >= _COVERED))
         patterns.append(Pattern(view, near=limit))
         glimpses.append(Glimpse.of(view))

@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 
 from refdgs_pipe.artifacts.lighting import Lighting
 from refdgs_pipe.artifacts.mesh import TriangleMesh
-from refdgs_pipe.artifacts.photos import Photo
+from refdgs_pipe.artifacts.photos import Photo, load_photo
+from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.surface_map import SurfaceMap
+from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.color import linear_from_srgb
 from refdgs_pipe.errors import MeshError
@@ -112,10 +114,13 @@ class Sampler:
         self._solid = Solid(mesh.vertices, mesh.faces)
         self._parts: list[Samples] = []
 
-    def scale(self, camera: Camera) -> float:
-        """At most 1: the size of a view that has enough pixels to take."""
+    def photo_of(self, views: Views, model: SparseModel, camera: Camera) -> Photo:
+        """The part of a camera's photo that can show the ball, with enough pixels to take."""
+        ball = (model.ball.center, model.ball.radius)
+        part = camera.framed(*ball)
         longest = max(256, int(3 * float(np.sqrt(self.per_view))))
-        return min(1.0, longest / max(camera.width, camera.height))
+        scale = min(1.0, longest / max(part.width, part.height))
+        return load_photo(views, model, camera, scale=scale).framed(*ball)
 
     def look(
         self,

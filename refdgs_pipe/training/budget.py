@@ -12,6 +12,7 @@ from refdgs_pipe.artifacts.start import Start
 from refdgs_pipe.artifacts.surfel_field import SurfelField
 from refdgs_pipe.errors import DeviceError
 from refdgs_pipe.training.figures import Progress
+from refdgs_pipe.training.photos import most_pixels
 from refdgs_pipe.training.settings import StartParams, TrainParams
 from refdgs_pipe.training.trainer import Trainer
 
@@ -67,10 +68,7 @@ def need_of(load: Load, model: SparseModel) -> Need:
     """What training takes at its largest."""
     params, start = load.params, load.start
     cameras = [camera for camera in model.cameras if camera.split == "train"]
-    sizes = []
-    for camera in cameras:
-        scale = min(1.0, start.max_side / max(camera.width, camera.height))
-        sizes.append(camera.width * camera.height * scale * scale)
+    sizes = [most_pixels(camera, model.ball, start.max_side) for camera in cameras]
     kept = sum(sizes) * 5 * (1 + params.coarse**2)  # RGB, mask and validity, at two scales
     surfels = load.most + start.background_surfels
     if params.reflection and params.local == "dual":

@@ -198,10 +198,11 @@ class TrainableField:
             light=self.light,
         )
 
-    def observe(self, picture: Picture, width: int, misfit: Tensor | None = None) -> None:
-        """Collect densification statistics after the backward pass, per half image width.
+    def observe(self, picture: Picture, lever: float, misfit: Tensor | None = None) -> None:
+        """Collect densification statistics after the backward pass.
 
         Args:
+            lever: see `TrainingPhoto.lever`.
             misfit: () 1 where the picture is not what it should be, see `Plan`.
         """
         statistics, n = picture.maps.statistics, len(self.geometry)
@@ -212,7 +213,7 @@ class TrainableField:
             local = picture.local_statistics
             found.append((self.local, local.gradients, local.radii))
         sets = [(group.gradient_sum, group.seen, pull, radii) for group, pull, radii in found]
-        observe(sets, scale=width / 2, misfit=misfit)
+        observe(sets, scale=lever, misfit=misfit)
 
     def step(self, misfit: Tensor | None = None, rates: Tensor | None = None) -> None:
         """One update of everything; of nothing where `misfit` is 1.

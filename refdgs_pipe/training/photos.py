@@ -1,5 +1,6 @@
 """Training photos in memory, at every scale of the run."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -9,12 +10,15 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from refdgs_pipe.artifacts.sparse_model import SparseModel
+from refdgs_pipe.artifacts.sparse_model import Ball, SparseModel
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.errors import TrainingError
 from refdgs_pipe.ops import Pinhole
 
+MARGIN = 0.06  # around the object in a cropped photo, of the crop's longer side
+FILL = 0.55  # of a usual photo's longer side is as wide as the object's ball
+STEPS = 4  # sides of crops are multiples of the longest side by this number: few sizes, few plans
 TENSORS = ("rgb", "mask", "valid", "held", "which", "beyond")
 
 
@@ -30,6 +34,7 @@ class TrainingPhoto:
         held: (2, K) rows and columns of pixels that are measured and never trained on, or None.
         beyond: (H, W) bool where the object is known not to be although there is no mask, or None.
         which: (P,) 1 at the photo's place among P whose exposures are fitted, 0 elsewhere; or None.
+        frame: height of the photo that this is a part of, pixels; None: it is whole.
     """
 
     camera: Camera
@@ -40,6 +45,17 @@ class TrainingPhoto:
     held: Tensor | None = None
     which: Tensor | None = None
     beyond: Tensor | None = None
+    frame: float | None = None
+
+    @property
+    def lever(self) -> float:
+        """What turns gradients into those that densification compares.
+
+        Gradients are by pixels, of the mean over the photo's pixels. Compared are gradients by half
+        the width, of the mean over all pixels of the frame.
+        """
+        height = self.camera.height if self.frame is None else self.frame
+        return self.camera.width * self.camera.height / (2 * height)
 
     def to(self, device: str) -> "TrainingPhoto":
         """The photo with its pixels on a device; the camera stays."""
@@ -55,9 +71,13 @@ class TrainingPhoto:
 
 
 def load_training_photos(
-    views: Views, model: SparseModel, *, max_side: int, near: float
+    views: Views, model: SparseModel, *, max_side: int, near: float, framed: bool = False
 ) -> list[TrainingPhoto]:
     """All photos of the train split, no larger than `max_side` pixels.
+
+    Args:
+        framed: only the part that shows the object, by its mask. Photos that show it small are
+            reduced less, so that it is as large as in a usual photo of that size.
 
     Raises:
         TrainingError: there are none.
@@ -67,17 +87,74 @@ def load_training_photos(
     cameras = [camera for camera in model.cameras if camera.split == "train"]
     if not cameras:
         raise TrainingError("no photo is left to train on: every view is held out or lost")
-    photos = []
+    photos, frames = [], []
     for camera in cameras:
-        scale = min(1.0, max_side / max(camera.width, camera.height))
+        plain = scale = min(1.0, max_side / max(camera.width, camera.height))
+        if framed:
+            scale = max(scale, framing_scale(camera, model.ball, max_side))
         photo = load_photo(views, model, camera, scale=scale)
         rgb = _bytes(photo.rgb).transpose(2, 0, 1)
         mask = None if photo.mask is None else torch.from_numpy(_bytes(photo.mask))
         valid = None if photo.valid.all() else torch.from_numpy(photo.valid)
         pinhole = Pinhole.of(photo.camera, near)
         rgb_tensor = torch.from_numpy(np.ascontiguousarray(rgb))
-        photos.append(TrainingPhoto(photo.camera, pinhole, rgb_tensor, mask, valid))
+        taken = TrainingPhoto(photo.camera, pinhole, rgb_tensor, mask, valid)
+        if framed:
+            part = cropped(taken, max_side)
+            taken = part if part is not taken else shrunk(taken, plain / scale)
+        photos.append(taken)
+        frames.append(_frame(photo.camera, model.ball))
+    if framed:  # one height for all: recorded steps of a size can be repeated
+        photos = [replace(photo, frame=float(np.mean(frames))) for photo in photos]
     return photos
+
+
+def _frame(camera: Camera, ball: Ball) -> float:
+    """Height of a usual photo in which the ball is as large as here, or of this one if smaller."""
+    longest = max(camera.width, camera.height)
+    usual = _across(camera, ball) / FILL
+    return camera.height * min(1.0, usual / longest)
+
+
+def _across(camera: Camera, ball: Ball) -> float:
+    """How wide the ball is in a photo, pixels."""
+    distance = max(float(np.linalg.norm(camera.center - ball.center)), ball.radius)
+    return 2 * float(camera.K[0, 0]) * ball.radius / distance
+
+
+def framing_scale(camera: Camera, ball: Ball, max_side: int) -> float:
+    """The scale, at most 1, at which the ball is as large as in a usual photo of that size."""
+    return min(1.0, FILL * max_side / max(_across(camera, ball), 1.0))
+
+
+def most_pixels(camera: Camera, ball: Ball, max_side: int) -> float:
+    """Pixels of a training photo at most, cut to the object or not."""
+    pixels = camera.width * camera.height
+    whole = pixels * min(1.0, max_side / max(camera.width, camera.height)) ** 2
+    return max(whole, min(pixels * framing_scale(camera, ball, max_side) ** 2, max_side**2))
+
+
+def cropped(photo: TrainingPhoto, max_side: int) -> TrainingPhoto:
+    """The part of a photo that shows the object, by its mask, with a margin.
+
+    Without a mask, or with an empty one, the photo stays as it is. Pixels outside the part show
+    nothing of the object: who draws them learns only that.
+    """
+    if photo.mask is None or not (photo.mask > 0).any():
+        return photo
+    spans = []
+    for axis, whole in ((1, photo.camera.height), (0, photo.camera.width)):
+        used = torch.nonzero((photo.mask > 0).any(axis)).ravel()
+        first, last = int(used[0]), int(used[-1]) + 1
+        step = max(16, max_side // STEPS)
+        needed = (last - first) * (1 + 2 * MARGIN)
+        side = min(whole, step * math.ceil(needed / step))
+        start = min(max(0, (first + last - side) // 2), whole - side)
+        spans.append(slice(start, start + side))
+    rows, columns = spans
+    camera = photo.camera.part(columns.start, columns.stop, rows.start, rows.stop)
+    part = photo.each(lambda pixels: pixels[..., rows, columns].contiguous())
+    return replace(part, camera=camera, pinhole=Pinhole.of(camera, photo.pinhole.near))
 
 
 def shrunk(photo: TrainingPhoto, scale: float) -> TrainingPhoto:
@@ -86,8 +163,13 @@ def shrunk(photo: TrainingPhoto, scale: float) -> TrainingPhoto:
         return photo
     width = max(16, round(photo.camera.width * scale))
     height = max(16, round(photo.camera.height * scale))
-    if photo.rgb.is_cuda:
-        return _shrunk_there(photo, width, height)
+    on = _shrunk_there if photo.rgb.is_cuda else _shrunk_here
+    frame = None if photo.frame is None else photo.frame * scale
+    return replace(on(photo, width, height), frame=frame)
+
+
+def _shrunk_here(photo: TrainingPhoto, width: int, height: int) -> TrainingPhoto:
+    """`shrunk` by OpenCV."""
     import cv2
 
     rgb: NDArray[np.float32] = photo.rgb.permute(1, 2, 0).float().numpy()

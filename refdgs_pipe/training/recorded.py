@@ -155,7 +155,7 @@ class RecordedSteps:
     def _kind(self, photo: TrainingPhoto, fraction: float) -> object:
         """What a recording cannot be told anew."""
         camera = photo.pinhole
-        size = (camera.width, camera.height, camera.near)
+        size = (camera.width, camera.height, camera.near, photo.lever)
         told = tuple(getattr(photo, name) is None for name in TENSORS if name != "held")
         field = self._field
         return (*size, *told, *field.parts(fraction), field.weighs_specular(fraction))

@@ -17,7 +17,11 @@ class PhotoParams(Params):
     """Photos and random seed"""
 
     max_side: int = Field(
-        800, ge=32, le=8192, description="longest image side trained on, in pixels"
+        800,
+        ge=32,
+        le=8192,
+        description="longest side of training photos, in pixels; where masks show the object "
+        "small, a photo is reduced less and cut",
     )
     seed: int = Field(0, ge=0, description="seed of all random choices in training")
 

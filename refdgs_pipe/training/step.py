@@ -88,7 +88,7 @@ def take_step(
         loss = loss + p.pose_weight * strangeness.to(loss)
     descend(loss)
     misfit = None if plan is None else plan.misfit
-    field.observe(picture, photo.pinhole.width, misfit)
+    field.observe(picture, photo.lever, misfit)
     field.step(misfit, rates)
     return Taken(loss.detach(), error, picture.image.detach(), target)
 

@@ -97,7 +97,10 @@ class Trainer:
         self.scratch, self.device = scratch, device
         near = near_of(model)
         if photos is None:
-            photos = load_training_photos(views, model, max_side=start.max_side, near=near)
+            framed = views.background != "photo"
+            photos = load_training_photos(
+                views, model, max_side=start.max_side, near=near, framed=framed
+            )
         self.rng = torch.Generator().manual_seed(start.seed)
         self.masked = views.background != "photo"
         seen = covered(photos, start.covers)
