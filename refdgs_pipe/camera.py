@@ -10,7 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 F64 = NDArray[np.float64]
-ROOM = 1.1  # of a ball's radius, round which parts of photos are cut: outlines need both sides
+Box = tuple[int, int, int, int]
+"""First column, column after the last, first row, row after the last: left, right, top, bottom."""
+
+ROOM = 1.1  # of a ball's radius, to which views are cut: outlines need pixels on both sides
 
 
 @dataclass(frozen=True)
@@ -63,8 +66,8 @@ class Camera:
         K[:2, 2] -= (left, top)
         return replace(self, width=right - left, height=bottom - top, K=K)
 
-    def box_of(self, center: F64, radius: float) -> tuple[int, int, int, int] | None:
-        """(left, right, top, bottom) of the pixels in which a ball can be seen; see `part`.
+    def box_of(self, center: F64, radius: float) -> Box | None:
+        """The pixels in which a ball can be seen.
 
         In the plane of the optical axis and the image's x axis (or y axis) the ball is a circle.
         Its tangents from the origin are the directions to its centre, turned by asin(radius /
@@ -87,9 +90,13 @@ class Camera:
         return None if box[0] >= box[1] or box[2] >= box[3] else (box[0], box[1], box[2], box[3])
 
     def framed(self, center: F64, radius: float) -> "Camera":
-        """The part that can show a ball, and some room, or all if no pixel shows it."""
+        """The part within `frame`."""
+        return self.part(*self.frame(center, radius))
+
+    def frame(self, center: F64, radius: float) -> Box:
+        """The pixels that can show a ball, and some room; all pixels if none shows it."""
         box = self.box_of(center, ROOM * radius)
-        return self if box is None else self.part(*box)
+        return (0, self.width, 0, self.height) if box is None else box
 
     def pixel_rays(self) -> F64:
         """(H, W, 3) camera-space rays through the pixel centres, with z = 1."""

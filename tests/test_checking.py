@@ -9,13 +9,13 @@ import pytest
 
 from refdgs_pipe.artifacts.placement import Placement
 from refdgs_pipe.artifacts.views import Exif, Skipped, Views
-from refdgs_pipe.checking.around import around
 from refdgs_pipe.checking.cost import cost
 from refdgs_pipe.checking.early import early_lines
 from refdgs_pipe.checking.findings import Finding, Verdict, findings_of, judge
 from refdgs_pipe.checking.look import Look
 from refdgs_pipe.checking.pixels import exposures_of
 from refdgs_pipe.files.images import write_png
+from refdgs_pipe.sfm.around import around
 from refdgs_pipe.sfm.gate import Check, Judgement
 
 

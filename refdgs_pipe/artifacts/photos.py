@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.views import Views
-from refdgs_pipe.camera import ROOM, Camera, Lens
+from refdgs_pipe.camera import Camera, Lens
 from refdgs_pipe.color import fractions, srgb_from_linear
 from refdgs_pipe.files.images import read_png
 
@@ -32,11 +32,8 @@ class Photo:
     valid: NDArray[np.bool_]
 
     def framed(self, center: NDArray[np.float64], radius: float) -> "Photo":
-        """The part that `Camera.framed` leaves."""
-        box = self.camera.box_of(center, ROOM * radius)
-        if box is None:
-            return self
-        left, right, top, bottom = box
+        """The part within `Camera.frame`."""
+        left, right, top, bottom = box = self.camera.frame(center, radius)
         part = (slice(top, bottom), slice(left, right))
         mask = None if self.mask is None else self.mask[part]
         return Photo(self.camera.part(*box), self.rgb[part], mask, self.valid[part])

@@ -3,8 +3,8 @@
 from refdgs_pipe.artifacts.placement import Placement
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.views import Views
-from refdgs_pipe.checking.around import around
 from refdgs_pipe.checking.findings import light
+from refdgs_pipe.sfm.around import around
 
 
 def early_lines(views: Views, placement: Placement, model: SparseModel) -> list[str]:

@@ -7,11 +7,11 @@ from typing import Literal
 
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.checking import pixels
-from refdgs_pipe.checking.around import around
 from refdgs_pipe.checking.look import Look
 from refdgs_pipe.errors import CaptureError, PoseError
 from refdgs_pipe.formatting import counted
 from refdgs_pipe.imaging.quality import blurred
+from refdgs_pipe.sfm.around import around
 
 State = Literal["ok", "note", "but", "bad"]
 Word = Literal["yes", "but", "unclear", "no"]

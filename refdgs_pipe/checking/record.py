@@ -3,11 +3,11 @@
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from refdgs_pipe.checking.around import Around, around
 from refdgs_pipe.checking.cost import Cost
 from refdgs_pipe.checking.findings import Finding, Verdict
 from refdgs_pipe.checking.look import Look
 from refdgs_pipe.imaging.quality import blurred
+from refdgs_pipe.sfm.around import Around, around
 
 SCHEMA = 1
 

@@ -12,12 +12,10 @@ from numpy.typing import NDArray
 from refdgs_pipe.artifacts.photos import load_photo
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.views import Views
-from refdgs_pipe.camera import Camera
+from refdgs_pipe.camera import Box, Camera
 
 F32 = NDArray[np.float32]
 Bools = NDArray[np.bool_]
-Box = tuple[int, int, int, int]
-"""First column, column after the last, first row, row after the last: left, right, top, bottom."""
 
 T = TypeVar("T")
 S = TypeVar("S")

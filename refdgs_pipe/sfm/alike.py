@@ -22,7 +22,8 @@ Ints = NDArray[np.int64]
 CLOSE_DEG = 15.0  # between the rays of two photos to the points that both see, in the median
 SHARED = 10  # points that two photos have to share
 SIDE = 800  # pixels, of the photos that are compared
-LIKELY_DEG, ENOUGH = 12.0, 10  # pairs further apart count only up to so many: more is hidden
+NARROW_DEG = 12.0  # between which and CLOSE_DEG the object hides much of what both could show
+ENOUGH = 10  # pairs, from which on such wide ones are not compared
 NEAR_DEG = 8.0  # the same between photos that see the same light
 MOST_PAIRS = 60  # that are compared, the closest first
 MOST_POINTS = 150  # of a photo, looked up in another
@@ -55,12 +56,12 @@ class Agreement:
 
 
 def agreement(model: SparseModel, views: Views) -> Agreement:
-    """Compare the photos that were placed close together."""
+    """Compare the photos that were placed close together, the closest pairs first."""
     pictures = _Pictures(views, model)
     shares: list[float] = []
     uneven: list[float] = []
     for pair in _close(model)[:MOST_PAIRS]:
-        if pair.angle >= LIKELY_DEG and len(shares) >= ENOUGH:
+        if pair.angle >= NARROW_DEG and len(shares) >= ENOUGH:
             break
         light, _, contrast = pictures.compared(pair.one, pair.other, model.points[pair.shared])
         if not len(light) or not 1 / SHARPER < np.median(contrast) < SHARPER:

@@ -1,65 +1,55 @@
-"""What sides of the object no photo shows, in words."""
+"""Where photos are missing round the object, in words."""
 
 from collections.abc import Mapping
 
-import numpy as np
-
 from refdgs_pipe.artifacts.sparse_model import SparseModel
+from refdgs_pipe.sfm.around import Around, around
 
 GAP_DEG = 60.0  # between neighbours round the object, from which on a gap is named
-ROUND_DEG = 180.0  # without a wider gap, photos go round the object
-LOW_DEG, HIGH_DEG = 30.0, 35.0  # a lowest photo above, or a highest below, is named
+ROUND_DEG = 180.0  # photos go round the object if no gap is as wide
+LOWEST_DEG = 30.0  # a lowest photo above this height is named
+HIGHEST_DEG = 35.0  # a highest photo below this height is named
 
 
 def gaps_of(model: SparseModel, said: Mapping[str, str]) -> tuple[str, ...]:
     """Sentences on wide gaps between neighbouring photos round the object, widest first, and on
-    heights that no photo was taken from."""
-    around = _azimuths(model)
-    order = sorted(around, key=lambda name: around[name])
-    if len(order) < 3:
+    missing heights.
+
+    Args:
+        said: name of a camera -> what the user calls its photo.
+    """
+    whole = around(model)
+    if whole is None or len(whole.directions) < 3:
         return ()
+    order = sorted(whole.directions, key=lambda direction: direction.azimuth)
     found = []
-    for name, after in zip(order, [*order[1:], order[0]], strict=True):
-        gap = (around[after] - around[name]) % 360.0
+    for one, after in zip(order, [*order[1:], order[0]], strict=True):
+        gap = (after.azimuth - one.azimuth) % 360.0
         if gap >= GAP_DEG:
-            found.append((gap, name, after))
+            found.append((gap, one.name, after.name))
     gaps = [
-        f"between {said[name]} and {said[after]} there is a gap of {gap:.0f} degrees"
-        for gap, name, after in sorted(found, reverse=True)
+        f"between {said[one]} and {said[after]} there is a gap of {gap:.0f} degrees"
+        for gap, one, after in sorted(found, reverse=True)
     ]
-    goes_round = all(gap < ROUND_DEG for gap, *_ in found)
-    return tuple(gaps + (_missing_heights(model) if goes_round else []))
+    return (*gaps, *_missing_heights(whole))
 
 
-def _missing_heights(model: SparseModel) -> list[str]:
-    """Sentences on photos that all look down steeply, or that none does."""
-    up = model.up / np.linalg.norm(model.up)
-    heights = []
-    for camera in model.cameras:
-        away = camera.center - model.ball.center
-        heights.append(np.degrees(np.arcsin(np.clip(away @ up / np.linalg.norm(away), -1, 1))))
-    lowest, highest = min(heights), max(heights)
-    if lowest > LOW_DEG:
+def _missing_heights(whole: Around) -> list[str]:
+    """A sentence if photos go round the object, and none is low, or none is high.
+
+    Photos from one side can have any up direction, so heights mean nothing there.
+    """
+    lowest, highest = whole.heights
+    if whole.gap_deg >= ROUND_DEG:
+        return []
+    if lowest > LOWEST_DEG:
         return [
             f"all photos look down from {lowest:.0f} degrees or more: the shape of a plain top and "
-            "of the walls is uncertain. A ring of photos from 10 to 20 degrees shows it"
+            "of the walls is uncertain. Add a ring of photos from 10 to 20 degrees"
         ]
-    if highest < HIGH_DEG:
+    if highest < HIGHEST_DEG:
         return [
-            f"no photo looks down from more than {highest:.0f} degrees: what faces up is "
-            "uncertain. A ring of photos from 45 to 60 degrees shows it"
+            f"no photo looks down from more than {highest:.0f} degrees: the shape of the top is "
+            "uncertain. Add a ring of photos from 45 to 60 degrees"
         ]
     return []
-
-
-def _azimuths(model: SparseModel) -> dict[str, float]:
-    """Name of a camera -> degrees round the up axis, seen from the object."""
-    up = model.up / np.linalg.norm(model.up)
-    side = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
-    side /= np.linalg.norm(side)
-    front = np.cross(up, side)
-    away = {camera.name: camera.center - model.ball.center for camera in model.cameras}
-    return {
-        name: float(np.degrees(np.arctan2(line @ front, line @ side)))
-        for name, line in away.items()
-    }

@@ -16,9 +16,9 @@ from refdgs_pipe.camera import Camera
 from refdgs_pipe.errors import TrainingError
 from refdgs_pipe.ops import Pinhole
 
-MARGIN = 0.06  # around the object in a cropped photo, of the crop's longer side
-FILL = 0.55  # of a usual photo's longer side is as wide as the object's ball
-STEPS = 4  # sides of crops are multiples of the longest side by this number: few sizes, few plans
+MARGIN = 0.06  # on each side of the object in a cropped photo, of its width or height
+FILL = 0.55  # width of the object's ball in a usual photo, beside the photo's longer side
+STEPS = 4  # sides of crops are whole multiples of max_side / STEPS: a GPU records steps by size
 TENSORS = ("rgb", "mask", "valid", "held", "which", "beyond")
 
 
@@ -34,7 +34,7 @@ class TrainingPhoto:
         held: (2, K) rows and columns of pixels that are measured and never trained on, or None.
         beyond: (H, W) bool where the object is known not to be although there is no mask, or None.
         which: (P,) 1 at the photo's place among P whose exposures are fitted, 0 elsewhere; or None.
-        frame: height of the photo that this is a part of, pixels; None: it is whole.
+        frame: height of a usual photo that shows the object as large, pixels; None: its own height.
     """
 
     camera: Camera
@@ -49,10 +49,10 @@ class TrainingPhoto:
 
     @property
     def lever(self) -> float:
-        """What turns gradients into those that densification compares.
+        """Factor from a gradient of this photo's loss to the one that densification compares.
 
-        Gradients are by pixels, of the mean over the photo's pixels. Compared are gradients by half
-        the width, of the mean over all pixels of the frame.
+        The first is per pixel, of a mean over the pixels of this photo. The second is per half the
+        frame's width, of a mean over the pixels of the frame.
         """
         height = self.camera.height if self.frame is None else self.frame
         return self.camera.width * self.camera.height / (2 * height)
@@ -73,11 +73,13 @@ class TrainingPhoto:
 def load_training_photos(
     views: Views, model: SparseModel, *, max_side: int, near: float, framed: bool = False
 ) -> list[TrainingPhoto]:
-    """All photos of the train split, no larger than `max_side` pixels.
+    """All photos of the train split, reduced to `max_side` pixels.
 
     Args:
-        framed: only the part that shows the object, by its mask. Photos that show it small are
-            reduced less, so that it is as large as in a usual photo of that size.
+        max_side: of a whole photo, pixels.
+        near: see `Pinhole`.
+        framed: cut each photo to the object, by its mask. Photos that show it small are reduced
+            less, so that it is as large as in a usual photo of `max_side` pixels.
 
     Raises:
         TrainingError: there are none.
@@ -110,7 +112,7 @@ def load_training_photos(
 
 
 def _frame(camera: Camera, ball: Ball) -> float:
-    """Height of a usual photo in which the ball is as large as here, or of this one if smaller."""
+    """Height of a usual photo that shows the ball as large as this one, at most this one's."""
     longest = max(camera.width, camera.height)
     usual = _across(camera, ball) / FILL
     return camera.height * min(1.0, usual / longest)
@@ -123,7 +125,7 @@ def _across(camera: Camera, ball: Ball) -> float:
 
 
 def framing_scale(camera: Camera, ball: Ball, max_side: int) -> float:
-    """The scale, at most 1, at which the ball is as large as in a usual photo of that size."""
+    """The scale, at most 1, at which the ball is as large as in a usual photo of `max_side`."""
     return min(1.0, FILL * max_side / max(_across(camera, ball), 1.0))
 
 
@@ -137,8 +139,11 @@ def most_pixels(camera: Camera, ball: Ball, max_side: int) -> float:
 def cropped(photo: TrainingPhoto, max_side: int) -> TrainingPhoto:
     """The part of a photo that shows the object, by its mask, with a margin.
 
-    Without a mask, or with an empty one, the photo stays as it is. Pixels outside the part show
-    nothing of the object: who draws them learns only that.
+    Without a mask, or with an empty one, it is the same photo. The rest shows no object; training
+    does not need it.
+
+    Args:
+        max_side: of whole photos, pixels; sides of parts are multiples of a quarter of it.
     """
     if photo.mask is None or not (photo.mask > 0).any():
         return photo

@@ -20,8 +20,8 @@ class PhotoParams(Params):
         800,
         ge=32,
         le=8192,
-        description="longest side of training photos, in pixels; where masks show the object "
-        "small, a photo is reduced less and cut",
+        description="longest side of training photos, in pixels; photos with masks are cut to "
+        "the object, and reduced less if they show it small",
     )
     seed: int = Field(0, ge=0, description="seed of all random choices in training")
 

@@ -7,8 +7,6 @@ import numpy as np
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.geometry import widest_stretch, y_up_from_z_up
 
-LOW_DEG, HIGH_DEG = 15.0, 45.0  # heights that a walk round an object on a table takes in
-
 
 @dataclass(frozen=True)
 class Direction:
