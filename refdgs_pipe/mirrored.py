@@ -88,11 +88,13 @@ class Agreement:
         misfit: mean difference of a sample from what other views say comes from its direction.
         spread: mean difference of all samples from their median.
         count: samples that other views say something of.
+        level: median colour of all samples.
     """
 
     misfit: float
     spread: float
     count: int
+    level: float = 0.0
 
 
 def mirror_agreement(
@@ -115,10 +117,11 @@ def mirror_agreement(
     samples = _samples(points, normals, glimpses, near=near, ground=ground, radius=radius)
     if not len(samples.key):
         return Agreement(np.nan, 0.0, 0)
-    spread = float(np.abs(samples.color - np.median(samples.color, axis=0)).mean())
+    middle = np.median(samples.color, axis=0)
+    spread = float(np.abs(samples.color - middle).mean())
     misses = _misses(samples, _ASKED, len(samples.key))[1]
     misfit = float(np.mean(misses)) if len(misses) else float("nan")
-    return Agreement(misfit, spread, len(misses))
+    return Agreement(misfit, spread, len(misses), float(middle.mean()))
 
 
 def unexplained(

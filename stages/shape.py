@@ -10,7 +10,7 @@ from refdgs_pipe.pipeline.stage import Job, stage
 from refdgs_pipe.surface.settings import ShapeParams
 
 
-@stage(version=3, programs=("pymeshlab", "open3d-cpu"), by_device=True)
+@stage(version=4, programs=("pymeshlab", "open3d-cpu"), by_device=True)
 def shape(checkpoint: Checkpoint, model: SparseModel, params: ShapeParams, job: Job) -> Shape:
     """Fuse what training cameras see of the field, clean it and fit it to its views."""
     if checkpoint.is_last:

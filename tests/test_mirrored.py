@@ -56,13 +56,22 @@ def ground(places: F64, away: F64) -> F64:
     return np.where(away[:, 2:] < 0, 0.5 + 0.4 * wave, 0.5)
 
 
-def glimpses_of(shown: TriangleMesh, true: TriangleMesh, light: Light) -> list[Glimpse]:
+LEVELS = (12.0, 30.0, 50.0)
+STEEP = (40.0, 52.0, 65.0)
+
+
+def glimpses_of(
+    shown: TriangleMesh,
+    true: TriangleMesh,
+    light: Light,
+    levels: tuple[float, float, float] = LEVELS,
+) -> list[Glimpse]:
     """What cameras all round see: depth of the mesh that is shown, colours of the true mirror."""
     solids = [Solid(mesh.vertices, mesh.faces) for mesh in (shown, true)]
     normals = true.vertex_normals().astype(float)
     found = []
     for number in range(24):
-        azimuth, level = 2.4 * number, np.radians((12, 30, 50)[number % 3])
+        azimuth, level = 2.4 * number, np.radians(levels[number % 3])
         around = np.cos(level) * np.array([np.cos(azimuth), np.sin(azimuth)])
         pose = looking(3.5 * np.array([*around, np.sin(level)]))
         K = np.array([[190.0, 0, 80], [0, 190, 60], [0, 0, 1]])
@@ -104,6 +113,28 @@ def test_a_bulge_that_mirrors_as_a_plane_becomes_one() -> None:
     top = (np.abs(mesh.vertices[:, :2]) < HALF[:2] - 0.1).all(1) & (mesh.vertices[:, 2] > 0.2)
     assert np.abs(mesh.vertices[top, 2] - HALF[2]).max() > 0.05
     assert np.abs(done.vertices[top, 2] - HALF[2]).max() < 0.01  # half the limit
+
+
+def roofed_box(slope: float) -> TriangleMesh:
+    """A box with the roof that silhouettes leave on a flat top if cameras look down steeply."""
+    shape = o3d.geometry.TriangleMesh.create_box(*(2 * HALF)).subdivide_midpoint(5)
+    points = np.asarray(shape.vertices) - HALF
+    top = points[:, 2] > HALF[2] - 1e-6
+    gap = np.minimum(HALF[0] - np.abs(points[top, 0]), HALF[1] - np.abs(points[top, 1]))
+    points[top, 2] += np.tan(np.radians(slope)) * gap
+    return TriangleMesh(points.astype(np.float32), np.asarray(shape.triangles, np.int32))
+
+
+@pytest.mark.parametrize("levels, true", [(STEEP, 0.0), (STEEP, 35.0), (LEVELS, 0.0)])
+def test_a_roof_becomes_a_plane_if_no_camera_looks_from_low(
+    levels: tuple[float, float, float], true: float
+) -> None:
+    mesh = roofed_box(35.0)
+    is_flat, done = upper(mesh, glimpses_of(mesh, roofed_box(true), far, levels))
+    assert is_flat == (levels == STEEP and true == 0)
+    top = (np.abs(mesh.vertices[:, :2]) < HALF[:2] - 0.1).all(1) & (mesh.vertices[:, 2] > 0.2)
+    height = np.abs(done.vertices[top, 2] - HALF[2]).max()
+    assert height < 0.02 if is_flat else height > 0.2
 
 
 @pytest.mark.parametrize("light", [far, plain])

@@ -8,9 +8,9 @@ outside, so the plane lies along the lower side of the places that outlines hold
 A part counts as flat if it is nearly plane already, if the surface bends away all around it, if
 outlines hold some of it, and if the views' colours do not determine its depth.
 
-Where all cameras look down, the solid that the outlines allow bulges on a flat top as steeply as
-the lowest camera looks. Such a bulge is no longer nearly plane. It becomes one if views agree far
-better on what a plane would mirror than on what the bulge would.
+Where all cameras look down on a flat part, the solid that the outlines allow bulges on it as
+steeply as the lowest camera looks. Such a bulge is no longer nearly plane. It becomes one if views
+agree far better on what a plane would mirror than on what the bulge would.
 """
 
 from collections.abc import Sequence
@@ -33,7 +33,9 @@ Bools = NDArray[np.bool_]
 SMOOTH = 0.01  # of the ball's diameter, by which normals are smoothed before they are compared
 TILT = np.cos(np.radians(12.0))  # between a place's normal and the plane's
 NEAR = 1.5  # limits that a place of the part may lie off its plane
-BULGE_TILT, BULGE_NEAR = np.cos(np.radians(20.0)), 5.0  # the same, of a bulge on a mirror
+BULGE_TILT, BULGE_NEAR = np.radians(20.0), 5.0  # the same, of a bulge on a mirror
+STEEPER = np.radians(5.0)  # by which it may be steeper than the lowest camera looks on its plane
+STEEPEST = np.radians(50.0)
 LEAST_AREA = 0.05  # of the mesh's area: outlines alone hold smaller parts well enough
 # Root mean square tilt: a strip of a tube that ends at TILT has 6.9 or more, a dome 8.5. Where a
 # strip is WIDE, its tube is so wide that it does not bend away at the strip's border.
@@ -52,7 +54,7 @@ AGREES = 0.5  # of the bulge's misfit, and of the colours' spread: the most for 
 TOLD_APART = 0.02  # spread of the mirrored colours, sRGB: what is plainer tells nothing
 ENOUGH = 200  # samples that are compared
 SEEN = 0.05  # diameters by which the depth that a view shows may differ
-_DIRECTIONS, _TOWARDS, _TOWARDS_BULGE = 600, np.cos(np.radians(10.0)), np.cos(np.radians(16.0))
+_DIRECTIONS, _TOWARDS, _TOWARDS_BULGE = 600, np.cos(np.radians(10.0)), 0.8
 _FIRM, _REST = 1e4, 3.0  # of the flat part's place; of the rest's staying
 
 
@@ -150,7 +152,8 @@ def _bulges(
     Outlines hold a bulge where it ends, so its plane is that of the held places.
     """
     seen = np.zeros(len(held), bool)
-    facing = net.smooth @ _directions().T > _TOWARDS_BULGE
+    slopes = _steepest(net, mirrored.glimpses)
+    facing = net.smooth @ _directions().T > np.cos(_TOWARDS_BULGE * slopes)
     least, found = LEAST_AREA * net.area.sum(), []
     for best in np.argsort(-(net.area * free) @ facing, kind="stable"):
         starts = _pieces(net, free & ~seen & facing[:, best], least)
@@ -159,7 +162,8 @@ def _bulges(
                 break
             continue
         for start in starts:
-            part = _grown(net, start, free, BULGE_NEAR * limit, BULGE_TILT)
+            near = BULGE_NEAR * limit * np.tan(slopes[best]) / np.tan(BULGE_TILT)
+            part = _grown(net, start, free, float(near), np.cos(slopes[best]))
             if part is None or net.area[part].sum() < least:
                 continue
             seen |= part
@@ -174,6 +178,14 @@ def _bulges(
                 free &= ~part
                 found.append(Flat(np.flatnonzero(part), center, normal))
     return found
+
+
+def _steepest(net: "_Net", glimpses: Sequence[Glimpse]) -> F64:
+    """(n,) how steep a bulge may be on a flat part that faces each of the directions, radians."""
+    towards = np.stack([glimpse.camera.center for glimpse in glimpses]) - net.points.mean(0)
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    lowest = np.arcsin(np.clip((towards @ _directions().T).min(0), -1, 1))
+    return np.asarray(np.clip(lowest + STEEPER, BULGE_TILT, STEEPEST), np.float64)
 
 
 def _mirrors_as_plane(

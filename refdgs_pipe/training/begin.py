@@ -16,7 +16,15 @@ from refdgs_pipe.training.settings import StartParams
 from refdgs_pipe.training.starting import Given, start_of
 from refdgs_pipe.training.step import near_of
 from refdgs_pipe.training.stereo_start import agreed_cloud
-from refdgs_pipe.training.vessels import A_MIRROR, find_mouth, find_plateau, mirror_misfit, tried
+from refdgs_pipe.training.vessels import (
+    A_MIRROR,
+    find_mouth,
+    find_plateau,
+    find_roof,
+    is_flat_top,
+    mirror_misfit,
+    tried,
+)
 
 
 @dataclass(frozen=True)
@@ -87,7 +95,7 @@ def _solid(
     """The object within its masks, and what was found out of its level top, in words.
 
     It is a vessel if photos see through its lid, or if that explains them better. The bulge on a
-    flat mirror is gone.
+    flat mirror is gone, and so is the roof that silhouettes leave on a flat top.
     """
     if params.masked == "ball" or any(photo.mask is None for photo in photos):
         return None, ""
@@ -100,7 +108,7 @@ def _solid(
     mouth = find_mouth(closed, model.up)
     mouth = None if mouth is None else mouth.within(hull)
     if mouth is None:
-        return hull, ""
+        return _without_roof(model, photos, closed, hull)
     plateau = find_plateau(closed, mouth.lid, model.up)
     misfit = None if plateau is None else mirror_misfit(photos, plateau)
     if plateau is not None and misfit is not None and misfit < A_MIRROR:
@@ -116,3 +124,15 @@ def _solid(
     if trial is None:
         return hull, ""
     return (mouth.vessel if trial.opens else hull), trial.words + told
+
+
+def _without_roof(
+    model: SparseModel, photos: list[TrainingPhoto], closed: Hull, hull: Hull
+) -> tuple[Hull, str]:
+    """The solid, without a roof on a flat top if all photos look down steeply; and words for it."""
+    found = find_roof(closed, [photo.camera for photo in photos], model.up)
+    mouth = None if found is None else found[0].within(hull)
+    if found is None or mouth is None or not is_flat_top(photos, found[1]):
+        return hull, ""
+    flat = (hull.cells | mouth.hollow) & ~found[1].bulge
+    return replace(hull, cells=flat), "flat, below the roof that silhouettes leave"

@@ -9,6 +9,10 @@ A flat mirror fails this trial: a short training explains its reflections by a h
 walls. But photos that see one direction mirrored in it agree on what they see, and photos of a
 hollow do not. Such a lid stays closed. Silhouettes bulge on it as steeply as the lowest camera
 looks, so the bulge is cut off.
+
+If the lowest camera looks down steeply, silhouettes leave a roof on a flat top. It is too steep for
+a lid, but no steeper than that camera looks. It goes if the top is a flat mirror, or if it has one
+colour.
 """
 
 from collections.abc import Callable, Sequence
@@ -28,7 +32,7 @@ from scipy.ndimage import (
 
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.camera import F64, Camera
-from refdgs_pipe.mirrored import Glimpse, mirror_agreement
+from refdgs_pipe.mirrored import Agreement, Glimpse, mirror_agreement
 from refdgs_pipe.training.carving import boundary
 from refdgs_pipe.training.field import TrainableField
 from refdgs_pipe.training.initial import F32, Hull
@@ -46,6 +50,10 @@ FLAT = 0.12  # of its width: how far a lid may reach in height
 WALL = 2.5  # cells that a vessel's walls are thick
 HOLLOW = 0.15  # of the hull's cells that a hollow has, at least
 STILL_CLOSED = 0.6  # of the hollow's cells that photo agreement did not open
+STEEP = np.radians(25.0)  # elevation of the lowest camera, from which on roofs are looked for
+STEEPER = np.radians(5.0)  # by which a roof, made of cells, may be steeper than the camera looks
+ROOF_SHARE = 0.95  # of the top, on which the roof may be no steeper
+RISE = 2.0  # cells that a roof may be higher than the camera's elevation allows
 LOOKS_IN = 0.3  # sine of the elevation from which a photo looks into a mouth
 FEWEST = 8  # photos that look in
 EACH = 4  # of those, one in so many is held out
@@ -57,6 +65,7 @@ DROP = 2.5  # cells to a neighbouring column, from which on a level part ends
 PLATEAU = 0.25  # of the lid's columns, that the largest level part has, at least
 A_MIRROR = 0.6  # `mirror_misfit` below which a level part is a flat mirror
 ENOUGH = 50  # samples of a lid that other photos say something of
+UNSHADED = 0.04  # of a colour: spread of the colours of a part that is turned one way
 PLAIN = 0.02  # spread of a lid's colours, sRGB, below which they tell nothing
 _SHORT = {
     "iterations": STEPS,
@@ -91,15 +100,16 @@ class Mouth:
         return replace(self, vessel=replace(hull, cells=hull.cells & ~self.hollow))
 
 
-def find_mouth(hull: Hull, up: F64) -> Mouth | None:
+def find_mouth(hull: Hull, up: F64, roof: float = 0.0) -> Mouth | None:
     """The largest level part of the hull's boundary; None if there is no large, flat one.
 
     Args:
         up: (3,) unit, world.
+        roof: how steep the part may be in any case, radians.
     """
     shell = np.argwhere(boundary(hull.cells))
     normals = _normals(hull.cells)[tuple(shell.T)]
-    level = normals @ up > LEVEL
+    level = normals @ up > min(LEVEL, float(np.cos(roof)))
     lid = np.zeros_like(hull.cells)
     lid[tuple(shell[level].T)] = True
     parts, count = label(lid, np.ones((3, 3, 3)))
@@ -108,7 +118,7 @@ def find_mouth(hull: Hull, up: F64) -> Mouth | None:
     sizes = np.bincount(parts.ravel())[1:]
     lid = parts == 1 + int(sizes.argmax())
     top = hull.ball.center + hull.ticks[np.argwhere(lid)]
-    if len(top) < LID * len(shell) or not _is_flat(top, up):
+    if len(top) < LID * len(shell) or not _is_flat(top, up, max(FLAT, 0.5 * float(np.tan(roof)))):
         return None
     reach = int(np.ceil(WALL)) + 2
     x, y, z = np.meshgrid(*hull.axes(), indexing="ij")
@@ -124,13 +134,13 @@ def find_mouth(hull: Hull, up: F64) -> Mouth | None:
     return Mouth(top, hollow, vessel)
 
 
-def _is_flat(points: F64, up: F64) -> bool:
-    """Whether a level patch (N, 3) is thin against its width."""
+def _is_flat(points: F64, up: F64, limit: float) -> bool:
+    """Whether a level patch (N, 3) is thin: by its height beside its width."""
     height = points @ up
     flat = points - height[:, None] * up
     width = 2 * float(np.linalg.norm(flat - flat.mean(0), axis=1).max())
     low, high = np.quantile(height, [0.05, 0.95])
-    return bool(high - low < FLAT * width)
+    return bool(high - low < limit * width)
 
 
 def _normals(cells: Bools) -> F32:
@@ -166,11 +176,18 @@ class Plateau:
     Args:
         points: (N, 3) world, one for each column of the grid; normal: (3,) unit, up.
         bulge: (n, n, n) the cells of the hull above them.
+        rise: (N,) how many cells that is; inward: (N,) cells from the part's border.
     """
 
     points: F64
     normal: F64
     bulge: Bools
+    rise: F64
+    inward: F64
+
+    def is_roof(self, slope: float) -> bool:
+        """Whether the bulge rises from the border, nowhere steeper than `slope` (radians)."""
+        return bool((self.rise <= RISE + np.tan(slope) * self.inward).mean() > ROOF_SHARE)
 
 
 def find_plateau(hull: Hull, lid: F64, up: F64) -> Plateau | None:
@@ -207,7 +224,28 @@ def find_plateau(hull: Hull, lid: F64, up: F64) -> Plateau | None:
     above = np.zeros_like(cells)
     above[tuple(rows.T)] = np.arange(n) > best
     bulge = np.moveaxis((above & cells)[:, :, ::step], 2, axis)
-    return Plateau(points, step * np.eye(3)[axis], bulge)
+    part = np.zeros(height.shape, bool)
+    part[tuple(rows.T)] = True
+    inward = distance_transform_edt(np.pad(part, 1))[1:-1, 1:-1][part]  # rows are sorted
+    rise = (height[part] - best).astype(np.float64)
+    return Plateau(points, step * np.eye(3)[axis], bulge, rise, inward)
+
+
+def find_roof(hull: Hull, cameras: Sequence[Camera], up: F64) -> tuple[Mouth, Plateau] | None:
+    """A level part of the hull under a roof that silhouettes leave, seen from above only.
+
+    None if a camera looks from low, or if the roof is steeper than the lowest camera looks.
+    """
+    towards = np.stack([camera.center for camera in cameras]) - hull.ball.center
+    sine = towards @ up / np.linalg.norm(towards, axis=1)
+    lowest = float(np.arcsin(np.clip(sine.min(), -1, 1)))
+    if lowest < STEEP:
+        return None
+    mouth = find_mouth(hull, up, lowest + STEEPER)
+    plateau = None if mouth is None else find_plateau(hull, mouth.lid, up)
+    if mouth is None or plateau is None or not plateau.is_roof(lowest + STEEPER):
+        return None
+    return mouth, plateau
 
 
 def mirror_misfit(photos: Sequence[TrainingPhoto], plateau: Plateau) -> float | None:
@@ -217,12 +255,24 @@ def mirror_misfit(photos: Sequence[TrainingPhoto], plateau: Plateau) -> float | 
         Their mean difference by the spread of the part's colours, below A_MIRROR for a mirror; None
         where too few can be compared.
     """
-    glimpses = [_glimpse(photo) for photo in photos]
-    normals = np.tile(plateau.normal, (len(plateau.points), 1))
-    found = mirror_agreement(plateau.points, normals, glimpses, near=np.inf)
+    found = _mirrored_in(photos, plateau)
     if found.count < ENOUGH or found.spread < PLAIN:
         return None
     return found.misfit / found.spread
+
+
+def is_flat_top(photos: Sequence[TrainingPhoto], plateau: Plateau) -> bool:
+    """Whether the level part under a roof is a flat mirror, or has one colour, without shading."""
+    found = _mirrored_in(photos, plateau)
+    limit = A_MIRROR * max(found.spread, UNSHADED * found.level)
+    return bool(found.count >= ENOUGH and found.misfit < limit)
+
+
+def _mirrored_in(photos: Sequence[TrainingPhoto], plateau: Plateau) -> Agreement:
+    """How photos agree on what a level part would mirror."""
+    glimpses = [_glimpse(photo) for photo in photos]
+    normals = np.tile(plateau.normal, (len(plateau.points), 1))
+    return mirror_agreement(plateau.points, normals, glimpses, near=np.inf)
 
 
 def _glimpse(photo: TrainingPhoto) -> Glimpse:

@@ -22,6 +22,8 @@ from refdgs_pipe.training.vessels import (
     Trial,
     find_mouth,
     find_plateau,
+    find_roof,
+    is_flat_top,
     mirror_misfit,
     tried,
 )
@@ -139,7 +141,8 @@ def photos_of(normal: Callable[[np.ndarray], np.ndarray]) -> list[TrainingPhoto]
 def test_photos_agree_on_a_flat_mirror_and_not_on_a_polished_hollow() -> None:
     place = np.linspace(-0.6, 0.6, 30)
     x, y = (a.ravel() for a in np.meshgrid(place, place))
-    plateau = Plateau(np.stack([x, y, 0 * x], 1), UP, np.zeros((2, 2, 2), bool))
+    none = np.zeros(len(x))
+    plateau = Plateau(np.stack([x, y, 0 * x], 1), UP, np.zeros((2, 2, 2), bool), none, none)
     flat = mirror_misfit(photos_of(lambda p: np.tile(UP, (len(p), 1))), plateau)
 
     def bowl(p: np.ndarray) -> np.ndarray:
@@ -149,6 +152,55 @@ def test_photos_agree_on_a_flat_mirror_and_not_on_a_polished_hollow() -> None:
     hollow = mirror_misfit(photos_of(bowl), plateau)
     assert flat is not None and flat < 0.5 * vessels.A_MIRROR
     assert hollow is not None and hollow > 1.3 * vessels.A_MIRROR
+
+
+def test_a_top_is_flat_if_it_mirrors_as_a_plane_or_shows_no_shading() -> None:
+    place = np.linspace(-0.6, 0.6, 30)
+    x, y = (a.ravel() for a in np.meshgrid(place, place))
+    none = np.zeros(len(x))
+    plateau = Plateau(np.stack([x, y, 0 * x], 1), UP, np.zeros((2, 2, 2), bool), none, none)
+
+    def dome(p: np.ndarray) -> np.ndarray:
+        tilted = UP + 0.9 * p
+        return np.asarray(tilted / np.linalg.norm(tilted, axis=1, keepdims=True))
+
+    def gray(low: int, high: int) -> list[TrainingPhoto]:
+        shade = torch.linspace(low, high, 64).round().to(torch.uint8).expand(3, 64, 64)
+        return [replace(photo, rgb=shade.contiguous()) for photo in photos_of(dome)]
+
+    assert is_flat_top(photos_of(lambda p: np.tile(UP, (len(p), 1))), plateau)
+    assert not is_flat_top(photos_of(dome), plateau)
+    assert not is_flat_top(photos_of(dome)[:1], plateau)  # nothing to compare with
+    assert is_flat_top(gray(130, 130), plateau)
+    assert not is_flat_top(gray(90, 170), plateau)
+    assert not is_flat_top(gray(6, 12), plateau)  # black, with little of shading
+
+
+def cameras_at(degrees: float) -> list[Camera]:
+    out = []
+    for photo in photos_of(lambda p: np.tile(UP, (len(p), 1))):
+        pose = photo.camera.cam_from_world.copy()
+        flat = photo.camera.center * [1, 1, 0]
+        level = np.deg2rad(degrees)
+        eye = 3 * (np.cos(level) * flat / np.linalg.norm(flat) + np.sin(level) * UP)
+        pose[:3, 3] = -pose[:3, :3] @ eye
+        out.append(replace(photo.camera, cam_from_world=pose))
+    return out
+
+
+ROOF = (RADIUS < 0.6) & (Z >= 0) & (Z < 0.84 * (0.6 - RADIUS))  # as steep as 40 degrees
+POST = (RADIUS < 0.6) & (Z > -0.6) & (Z < 0)
+
+
+def test_a_roof_is_found_if_no_camera_looks_from_low() -> None:
+    solid = hull(np.asarray(ROOF | POST))
+    found = find_roof(solid, cameras_at(40), UP)
+    assert found is not None
+    bulge = found[1].bulge
+    assert (bulge & ~ROOF).sum() < 0.05 * ROOF.sum() and (bulge & ROOF).sum() > 0.7 * ROOF.sum()
+    assert find_roof(solid, cameras_at(30), UP) is None  # too steep for these
+    assert find_roof(solid, [*cameras_at(40), *cameras_at(10)], UP) is None
+    assert find_mouth(solid, UP) is None  # and it is no lid otherwise
 
 
 def test_a_vessel_has_to_explain_clearly_more() -> None:
