@@ -22,17 +22,20 @@ def cameras() -> F64:
     return np.asarray(3 * out.T)
 
 
-def shown(boxes: list[Box], contrast: float = 0.4) -> F32:
+def shown(boxes: list[Box], contrast: float = 0.4, strip: float | None = None) -> F32:
     """(16, N, N, 3) a spotted plane and boxes (low, high, log colour), as each camera sees them.
 
     Args:
         contrast: standard deviation of the spots, log colour.
+        strip: log colour of a strip of the plane, from the middle outwards; None for no strip.
     """
     rng = np.random.default_rng(0)
     spots = rng.normal(TABLE, contrast, (N // 8, N // 8, 1)).repeat(8, 0).repeat(8, 1)
     place = ((np.arange(N) + 0.5) / N * 2 - 1) * REACH
     x, y = np.meshgrid(place, place)
     ends = np.stack([x, y, np.zeros_like(x)], -1)
+    if strip is not None:
+        spots = np.where(((np.abs(y) < 0.1) & (x > 0))[..., None], strip, spots)
     out = np.empty((16, N, N, 3), np.float32)
     for photo, eye in zip(out, cameras(), strict=True):
         photo[:] = spots

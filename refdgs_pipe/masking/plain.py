@@ -19,10 +19,12 @@ from refdgs_pipe.ground.shots import F32, Bools
 
 SEEDS = 8  # cells between places that a region is grown from
 PLAIN = 0.35  # of log colour, within a region
+NARROW = 0.2  # the same, for a region that otherwise runs into the table
 WITHIN = 1.3  # ball radii from the middle: farther out it is the table
 LEAST_AREA = 0.02  # square ball radii
 CLOSED = 7  # cells: gaps in a region that are closed
 EDGE = 2, 6  # cells beside a region's border that are looked at, on either side
+SET_OFF = 0.5  # share of the places right outside that differ from a narrow region, at least
 DIFFERS = 0.25  # of log colour, between what a photo shows and what the photos agree on
 LIKE = 0.5  # of log colour, from the region's, of what may be the same body
 ACROSS = 0.5  # cosine between a border's outward direction and that to a camera
@@ -36,6 +38,7 @@ GOES_ON = 0.6
 OFTEN = 0.2  # how often it sees it inside, at least
 # How often a photo before the border sees the region's colour inside, at least: median
 FOOT = 0.6
+SURE = 0.8  # the same of a narrow region
 
 
 def plain_bodies(
@@ -58,23 +61,34 @@ def plain_bodies(
     even = cv2.medianBlur(np.nan_to_num(colour, nan=-9.0).astype(np.float32), 5)
     least = LEAST_AREA * radius**2 / (2 * ground.radius / n) ** 2
     stands, hangs = np.zeros((2, n, n), bool)
-    tried = ~np.isfinite(colour[..., 0])
+    known = np.isfinite(colour[..., 0])
+    tried, runs_on = np.zeros((2, 2, n, n), bool)  # of wide regions and of narrow ones
     for row in range(SEEDS // 2, n, SEEDS):
         for column in range(SEEDS // 2, n, SEEDS):
-            if tried[row, column] or far[row, column] > 1:
+            if not known[row, column] or far[row, column] > 1:
                 continue
-            alike = (np.abs(even - even[row, column]).max(-1) < PLAIN).astype(np.uint8)
-            labels = cv2.connectedComponents(alike, connectivity=4)[1]
-            region = labels == labels[row, column]
-            tried |= region
-            if region.sum() < least or far[region].max() > WITHIN:
-                continue
-            closed = np.ones((CLOSED, CLOSED), np.uint8)
-            whole = cv2.morphologyEx(region.astype(np.uint8), cv2.MORPH_CLOSE, closed) > 0
-            hides, foot = _hides(whole, colour, seen, cameras, np.stack([x, y], -1))
-            if hides:
-                (stands if foot else hangs)[whole] = True
+            for narrow, limit in enumerate((PLAIN, NARROW)):
+                if tried[narrow, row, column] or (narrow and not runs_on[0, row, column]):
+                    continue
+                region = _region(even, row, column, limit)
+                tried[narrow] |= region
+                if far[region].max() > WITHIN:
+                    runs_on[narrow] |= region
+                elif region.sum() >= least:
+                    closed = np.ones((CLOSED, CLOSED), np.uint8)
+                    whole = cv2.morphologyEx(region.astype(np.uint8), cv2.MORPH_CLOSE, closed) > 0
+                    place = np.stack([x, y], -1)
+                    hides, foot = _hides(whole, colour, seen, cameras, place, bool(narrow))
+                    if hides:
+                        (stands if foot else hangs)[whole] = True
     return stands, hangs & ~stands
+
+
+def _region(colour: F32, row: int, column: int, limit: float) -> Bools:
+    """(n, n) the cells around one that have its log colour (n, n, 3), within a limit."""
+    alike = (np.abs(colour - colour[row, column]).max(-1) < limit).astype(np.uint8)
+    labels = cv2.connectedComponents(alike, connectivity=4)[1]
+    return np.asarray(labels == labels[row, column])
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +160,9 @@ class _Shares:
             share.add(sector[at], so[at])
 
 
-def _hides(region: Bools, colour: F32, seen: F32, cameras: F64, place: F64) -> tuple[bool, bool]:
+def _hides(
+    region: Bools, colour: F32, seen: F32, cameras: F64, place: F64, narrow: bool
+) -> tuple[bool, bool]:
     """Whether a region of one colour is that of a body, and whether it is the body's foot.
 
     Args:
@@ -156,6 +172,8 @@ def _hides(region: Bools, colour: F32, seen: F32, cameras: F64, place: F64) -> t
     outer, inner = _Border.of(~region, place, 1.0), _Border.of(region, place, -1.0)
     agreed = colour[outer.cells]
     other = np.abs(agreed - own).max(-1) > DIFFERS
+    if narrow and np.count_nonzero(other) < SET_OFF * other.size:
+        return False, False
     hidden, as_outside, as_inside, where_hidden = (_Shares() for _ in range(4))
     for camera, photo in zip(cameras, seen, strict=True):
         shown = photo[outer.cells]
@@ -177,4 +195,7 @@ def _hides(region: Bools, colour: F32, seen: F32, cameras: F64, place: F64) -> t
         and often > OFTEN
         and max(as_outside.across.whole, where_hidden.across.whole) > GOES_ON * often
     )
-    return bool(body), bool(np.median(as_inside.before.by_sector) > FOOT)
+    foot = float(np.median(as_inside.before.by_sector))
+    if narrow:
+        return bool(body and foot > SURE), foot > SURE
+    return bool(body), foot > FOOT

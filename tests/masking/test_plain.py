@@ -30,6 +30,17 @@ def test_a_plain_foot_below_a_bright_post_is_found_where_it_stands(height: float
     assert (found & true).sum() / (found | true).sum() > 0.85
 
 
+def test_a_foot_is_found_that_looks_much_like_a_part_of_the_table() -> None:
+    foot: Box = ((-0.4, -0.3, 0.0), (0.4, 0.3, 0.06), BLACK)
+    post: Box = ((-0.1, -0.1, 0.06), (0.1, 0.1, 0.9), WHITE)
+    seen = shown([foot, post], strip=BLACK + 0.28)
+    found = plain_bodies(np.median(seen, axis=0), seen, GROUND, cameras(), 1.0)[0]
+    place = ((np.arange(N) + 0.5) / N * 2 - 1) * REACH
+    x, y = np.meshgrid(place, place)
+    true = (np.abs(x) < 0.4) & (np.abs(y) < 0.3)
+    assert (found & true).sum() / (found | true).sum() > 0.8
+
+
 @pytest.mark.parametrize(
     "boxes",
     [[FLAT], [HANGING], []],
