@@ -19,14 +19,14 @@ def given(leaves: list[Tensor]) -> list[Tensor]:
     return [leaf.grad for leaf in leaves if leaf.grad is not None]
 
 
+@pytest.mark.parametrize("n", [300, 0])
 @pytest.mark.parametrize("names", [("diffuse", "sigmoid", "tanh"), ("tanh",), ()])
 def test_activations_and_their_gradients_equal_the_definition(
-    names: tuple[str, ...], kernels: Backend
+    names: tuple[str, ...], n: int, kernels: Backend
 ) -> None:
     widths = {"diffuse": 3, "sigmoid": 0, "tanh": 4}
 
     def run(at: At) -> list[Tensor]:
-        n = 300
         raw = [random(n, 2), random(n)]
         raw += [3 * random(n, widths[k]) if widths[k] else random(n, seed=1) for k in names]
         leaves = [at(t).requires_grad_() for t in raw]

@@ -1,5 +1,6 @@
 """What lies between the other operations, in plain torch, which the CPU computes too."""
 
+import math
 from collections.abc import Callable
 
 import torch
@@ -44,7 +45,7 @@ def activated(
         "diffuse": diffuse_of,
     }
     carried = [
-        how[curve](table).reshape(len(log_scales), -1)
+        how[curve](table).reshape(len(log_scales), math.prod(table.shape[1:]))
         for curve, table in zip(curves, tables, strict=True)
     ]
     side_by_side = log_scales.new_empty(len(log_scales), 0)
