@@ -16,7 +16,7 @@ from refdgs_pipe.evaluation.settings import EvaluateParams
 from refdgs_pipe.pipeline.stage import Job, stage
 
 
-@stage(version=12, programs=("open3d-cpu", "scipy"), by_device=True)
+@stage(version=13, programs=("open3d-cpu", "scipy"), by_device=True)
 def evaluate(
     capture: Capture,
     views: Views,
@@ -34,6 +34,7 @@ def evaluate(
     from refdgs_pipe.evaluation.scoring import Drawing, Protocol, Subject, score
     from refdgs_pipe.evaluation.speed import Timed
     from refdgs_pipe.relight import relit
+    from refdgs_pipe.sfm.gaps import lowest_height
     from refdgs_pipe.training.ground import ground_below
     from refdgs_pipe.training.render import render_image, render_surface_map
 
@@ -44,8 +45,8 @@ def evaluate(
     views = masks.applied(views, model.names)
     model = model.placed(field.poses, field.ball)
     ground = ground_below(model, field)
-    stands = masks.kind == "found"
-    subject = Subject(views, model, mesh, capture.layout().root, textured, ground, stands)
+    stands, lowest = masks.kind == "found", lowest_height(model)
+    subject = Subject(views, model, mesh, capture.layout().root, textured, ground, stands, lowest)
     asset = relit(textured, looks, threads=job.threads)
     scores = score(subject, Drawing(picture, maps, asset), protocol)
     for name, value, unit in scores.headlines():

@@ -105,6 +105,7 @@ class Witness:
         photos: Iterable[Photo] = (),
         ground: F64 | None = None,
         stands: bool = False,
+        lowest: float | None = None,
     ) -> ObjectFigures:
         """What all views tell together, and what the mesh tells without any.
 
@@ -112,6 +113,7 @@ class Witness:
             photos: small ones, to hold colours and reflections against each other.
             ground: (3,) unit normal of the ground through the world's origin, if it is known.
             stands: whether the whole object has to reach it.
+            lowest: as `ObjectFigures` has it.
         """
         holes, hole_length = open_holes(self._mesh, model.up)
         parts, part_share = loose_parts(self._mesh)
@@ -135,6 +137,7 @@ class Witness:
             parts=parts,
             part_share=part_share,
             floats=height_above(self._mesh, ground) if stands and ground is not None else None,
+            lowest=lowest,
             metres=model.metres_per_unit is not None,
         )
 

@@ -87,6 +87,7 @@ class Subject:
         ground: (3,) unit normal of the ground through the world's origin, if it is known.
         stands: whether the whole object has to reach it: where its masks were found as what stands
             on the ground.
+        lowest: as `ObjectFigures` has it.
     """
 
     views: Views
@@ -96,6 +97,7 @@ class Subject:
     textured: TexturedMesh | None = None
     ground: NDArray[np.float64] | None = None
     stands: bool = False
+    lowest: float | None = None
 
     @property
     def no_truth(self) -> str | None:
@@ -192,6 +194,7 @@ def _evidence(
         photos=(_photo(subject, cameras[i], COMPARED_SIDE) for i in some),
         ground=subject.ground,
         stands=subject.stands,
+        lowest=subject.lowest,
     )
 
 

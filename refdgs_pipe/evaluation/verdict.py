@@ -162,6 +162,19 @@ _ASPECTS = (
         ),
     ),
     _Aspect(
+        "height of the lowest photo",
+        lambda e: e.lowest,
+        60.0,
+        30.0,
+        lambda e: f"it looks down from {e.lowest:.0f} degrees",
+        "add a ring of photos from 10 to 20 degrees",
+        (
+            "All photos are from far above: the shape of walls and of the top is a guess",
+            "All photos are from above: plain walls and a plain top may have a wrong shape",
+            "Some photos are from low enough to show the walls",
+        ),
+    ),
+    _Aspect(
         "surface seen well by photos",
         lambda e: e.seen,
         0.3,

@@ -34,6 +34,15 @@ def gaps_of(model: SparseModel, said: Mapping[str, str]) -> tuple[str, ...]:
     return (*gaps, *_missing_heights(whole))
 
 
+def lowest_height(model: SparseModel) -> float | None:
+    """Height of the lowest photo over the horizon through the object, degrees.
+
+    None where photos do not go round the object: they can have any up direction.
+    """
+    whole = around(model)
+    return None if whole is None or whole.gap_deg >= ROUND_DEG else whole.heights[0]
+
+
 def _missing_heights(whole: Around) -> list[str]:
     """A sentence if photos go round the object, and none is low, or none is high.
 

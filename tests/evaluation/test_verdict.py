@@ -73,6 +73,13 @@ def test_a_result_that_no_photo_shows_is_poor() -> None:
     assert lost.word == "poor" and lost.findings[0].value == "no photo shows it"
 
 
+@pytest.mark.parametrize(
+    "lowest, word", [(None, "good"), (14.0, "good"), (37.0, "fair"), (65.0, "poor")]
+)
+def test_photos_from_above_alone_are_not_enough(lowest: float | None, word: str) -> None:
+    assert judged(replace(FINE, lowest=lowest)).word == word
+
+
 def test_an_object_without_its_lower_part_floats() -> None:
     ball = solids.sphere(24, radius=1.0)
     stands = replace(ball, vertices=ball.vertices + np.array([0, 0, 1.0], np.float32))

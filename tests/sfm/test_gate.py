@@ -13,7 +13,7 @@ from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import F64
 from refdgs_pipe.errors import CorruptError, PoseError
 from refdgs_pipe.sfm.alike import Agreement
-from refdgs_pipe.sfm.gaps import gaps_of
+from refdgs_pipe.sfm.gaps import gaps_of, lowest_height
 from refdgs_pipe.sfm.gate import check_trusted, examine
 
 COUNT, POINTS, SIDE, FOCAL = 12, 400, 64, 80.0
@@ -199,8 +199,10 @@ def test_heights_that_no_photo_was_taken_from_are_named(
     names = {f"{i}": f"{i}.jpg" for i in range(12)}
     found = gaps_of(model, names)  # type: ignore[arg-type]
     assert [text.split(":")[0] for text in found] == ([] if said is None else [said])
+    assert lowest_height(model) == pytest.approx(min(heights))  # type: ignore[arg-type]
     model.cameras = cameras[:4]  # they do not go round: up and down may mean nothing
     assert all("gap" in text for text in gaps_of(model, names))  # type: ignore[arg-type]
+    assert lowest_height(model) is None  # type: ignore[arg-type]
 
 
 def test_a_placement_is_the_same_after_a_round_trip(tmp_path: Path) -> None:
