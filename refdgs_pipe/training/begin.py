@@ -18,6 +18,7 @@ from refdgs_pipe.training.step import near_of
 from refdgs_pipe.training.stereo_start import agreed_cloud
 from refdgs_pipe.training.vessels import (
     A_MIRROR,
+    Mouth,
     find_mouth,
     find_plateau,
     find_roof,
@@ -95,7 +96,7 @@ def _solid(
     """The object within its masks, and what was found out of its level top, in words.
 
     It is a vessel if photos see through its lid, or if that explains them better. The bulge on a
-    flat mirror is gone, and so is the roof that silhouettes leave on a flat top.
+    flat mirror is gone, and so is the roof that silhouettes leave on a flat top or on a vessel.
     """
     if params.masked == "ball" or any(photo.mask is None for photo in photos):
         return None, ""
@@ -106,9 +107,36 @@ def _solid(
     if hull is None or params.masked != "carved" or not params.vessels:
         return hull, ""
     mouth = find_mouth(closed, model.up)
+    roof = None
+    if mouth is None:
+        roof = find_roof(closed, [photo.camera for photo in photos], model.up)
+    if roof is not None:
+        closed = replace(closed, cells=closed.cells & ~roof.bulge)
+        mouth = find_mouth(closed, model.up)
     mouth = None if mouth is None else mouth.within(hull)
     if mouth is None:
-        return _without_roof(model, photos, closed, hull)
+        return hull, ""
+    if roof is not None and is_flat_top(photos, roof):
+        flat = replace(hull, cells=(hull.cells | mouth.hollow) & ~roof.bulge)
+        return flat, "flat, below the roof that silhouettes leave"
+    return _opened(params, model, photos, closed, hull, mouth, near, progress)
+
+
+def _opened(
+    params: StartParams,
+    model: SparseModel,
+    photos: list[TrainingPhoto],
+    closed: Hull,
+    hull: Hull,
+    mouth: Mouth,
+    near: float,
+    progress: Callable[[int, int], None] | None,
+) -> tuple[Hull, str]:
+    """The solid, flat or opened below its lid if photos say so; and words for it.
+
+    Args:
+        closed: the visual hull, its top no higher than the lid; hull: of `object_hull`.
+    """
     plateau = find_plateau(closed, mouth.lid, model.up)
     misfit = None if plateau is None else mirror_misfit(photos, plateau)
     if plateau is not None and misfit is not None and misfit < A_MIRROR:
@@ -124,15 +152,3 @@ def _solid(
     if trial is None:
         return hull, ""
     return (mouth.vessel if trial.opens else hull), trial.words + told
-
-
-def _without_roof(
-    model: SparseModel, photos: list[TrainingPhoto], closed: Hull, hull: Hull
-) -> tuple[Hull, str]:
-    """The solid, without a roof on a flat top if all photos look down steeply; and words for it."""
-    found = find_roof(closed, [photo.camera for photo in photos], model.up)
-    mouth = None if found is None else found[0].within(hull)
-    if found is None or mouth is None or not is_flat_top(photos, found[1]):
-        return hull, ""
-    flat = (hull.cells | mouth.hollow) & ~found[1].bulge
-    return replace(hull, cells=flat), "flat, below the roof that silhouettes leave"

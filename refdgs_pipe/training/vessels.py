@@ -231,7 +231,7 @@ def find_plateau(hull: Hull, lid: F64, up: F64) -> Plateau | None:
     return Plateau(points, step * np.eye(3)[axis], bulge, rise, inward)
 
 
-def find_roof(hull: Hull, cameras: Sequence[Camera], up: F64) -> tuple[Mouth, Plateau] | None:
+def find_roof(hull: Hull, cameras: Sequence[Camera], up: F64) -> Plateau | None:
     """A level part of the hull under a roof that silhouettes leave, seen from above only.
 
     None if a camera looks from low, or if the roof is steeper than the lowest camera looks.
@@ -245,7 +245,7 @@ def find_roof(hull: Hull, cameras: Sequence[Camera], up: F64) -> tuple[Mouth, Pl
     plateau = None if mouth is None else find_plateau(hull, mouth.lid, up)
     if mouth is None or plateau is None or not plateau.is_roof(lowest + STEEPER):
         return None
-    return mouth, plateau
+    return plateau
 
 
 def mirror_misfit(photos: Sequence[TrainingPhoto], plateau: Plateau) -> float | None:

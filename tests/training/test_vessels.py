@@ -196,11 +196,14 @@ def test_a_roof_is_found_if_no_camera_looks_from_low() -> None:
     solid = hull(np.asarray(ROOF | POST))
     found = find_roof(solid, cameras_at(40), UP)
     assert found is not None
-    bulge = found[1].bulge
+    bulge = found.bulge
     assert (bulge & ~ROOF).sum() < 0.05 * ROOF.sum() and (bulge & ROOF).sum() > 0.7 * ROOF.sum()
     assert find_roof(solid, cameras_at(30), UP) is None  # too steep for these
     assert find_roof(solid, [*cameras_at(40), *cameras_at(10)], UP) is None
     assert find_mouth(solid, UP) is None  # and it is no lid otherwise
+    level = replace(solid, cells=solid.cells & ~bulge)
+    mouth = find_mouth(level, UP)  # what is below may be a vessel
+    assert mouth is not None and not (mouth.vessel.cells & bulge).any()
 
 
 def test_a_vessel_has_to_explain_clearly_more() -> None:
