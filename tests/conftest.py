@@ -1,12 +1,16 @@
 """Settings of the test run: threads that wait, and how many processes `-n auto` stands for."""
 
 import os
+import signal
 
 import pytest
 
 # Waiting threads sleep soon, as under the command line: the suite stays quick under load.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 os.environ.setdefault("GOMP_SPINCOUNT", "20000")
+
+# Programs that a shell starts in the background ignore Ctrl-C, and so would those of the tests.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 MOST_WORKERS = 4  # each loads all libraries, about 1 GB
 # Files of few tests that take long. They go first, so that no process is left with one at the end.

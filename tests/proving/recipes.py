@@ -106,5 +106,9 @@ RECIPES = {
     "upright": Recipe(d.tap, p.planks, "office", b.turned, seed=101, checking=True),
     "floor": Recipe(m.holder, p.mosaic, "attic", b.from_above, seed=103),
     "lowly": Recipe(k.globe, p.stone, "office", b.from_low, seed=105, photos=24),
+    "dish": Recipe(o.gold_bowl, p.mosaic, "office", b.from_above, seed=209),
+    "brew": Recipe(m.teapot, p.planks, "attic", b.from_above, seed=210),
+    "bread": Recipe(o.toaster, papers, "studio", b.from_above, seed=204),
+    "lantern": Recipe(k.lamp, p.stone, "office", b.in_haste, seed=201, checking=True, photos=20),
     "mat": Recipe(k.vase, p.placemat, "attic", p.spiral, seed=81, checking=True),
 }
