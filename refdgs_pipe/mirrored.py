@@ -23,6 +23,9 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+# Misfit at a place of a plane mirror, by the spread of its colours, from which on something stands
+# there: views see that in place of the plane, and it does not move as a reflection does.
+STANDS_OUT = 1.0
 _LONGEST = 320  # pixels of the pictures that are compared
 _ALPHA = 0.9
 _FACING = 0.1  # cosine from which a place is seen
@@ -122,6 +125,18 @@ def mirror_agreement(
     misses = _misses(samples, _ASKED, len(samples.key))[1]
     misfit = float(np.mean(misses)) if len(misses) else float("nan")
     return Agreement(misfit, spread, len(misses), float(middle.mean()))
+
+
+def mirror_misfits(points: F64, normals: F64, glimpses: Iterable[Glimpse], *, near: float) -> F64:
+    """(N,) the misfit of `mirror_agreement` at each point; NaN where nothing can be compared."""
+    samples = _samples(points, normals, glimpses, near=near, ground=None, radius=1.0)
+    if not len(samples.key):
+        return np.full(len(points), np.nan)
+    rows, misses = _misses(samples, _ASKED_ALL, _COMPARED)
+    at = samples.point[rows]
+    count = np.bincount(at, minlength=len(points))
+    total = np.bincount(at, misses, len(points))
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
 def unexplained(

@@ -137,6 +137,24 @@ def test_a_roof_becomes_a_plane_if_no_camera_looks_from_low(
     assert height < 0.02 if is_flat else height > 0.2
 
 
+def knob(places: F64, away: F64) -> F64:
+    """The room, and a dark knob in the middle of the top."""
+    on = (np.hypot(places[:, 0], places[:, 1]) < 0.12) & (places[:, 2] > 0.2)
+    return np.where(on[:, None], 0.0, far(places, away))
+
+
+def test_what_stands_on_a_plane_is_not_made_flat() -> None:
+    mesh = roofed_box(35.0)
+    views = glimpses_of(mesh, roofed_box(0.0), knob, STEEP)
+    is_flat, done = upper(mesh, views)
+    assert is_flat
+    away = np.hypot(*mesh.vertices[:, :2].T)
+    top = (np.abs(mesh.vertices[:, :2]) < HALF[:2] - 0.1).all(1) & (mesh.vertices[:, 2] > 0.2)
+    height = np.abs(done.vertices[:, 2] - HALF[2])
+    assert height[top & (away > 0.25)].max() < 0.02
+    assert height[top & (away < 0.06)].min() > 0.02
+
+
 @pytest.mark.parametrize("light", [far, plain])
 def test_a_bulge_stays_that_mirrors_as_a_bulge_or_tells_nothing(light: Light) -> None:
     mesh = bulged_box(0.06)

@@ -166,7 +166,7 @@ _ASPECTS = (
         lambda e: e.lowest,
         60.0,
         30.0,
-        lambda e: f"it looks down from {e.lowest:.0f} degrees",
+        lambda e: f"the lowest looks down from {e.lowest:.0f} degrees",
         "add a ring of photos from 10 to 20 degrees",
         (
             "All photos are from far above: the shape of walls and of the top is a guess",

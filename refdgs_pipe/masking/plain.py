@@ -7,6 +7,7 @@ near side also see the plane below a body that hangs over it, and the body's foo
 where a body hangs, what most photos agree on is the body and no picture of the plane.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import cv2
@@ -62,33 +63,38 @@ def plain_bodies(
     least = LEAST_AREA * radius**2 / (2 * ground.radius / n) ** 2
     stands, hangs = np.zeros((2, n, n), bool)
     known = np.isfinite(colour[..., 0])
-    tried, runs_on = np.zeros((2, 2, n, n), bool)  # of wide regions and of narrow ones
-    for row in range(SEEDS // 2, n, SEEDS):
-        for column in range(SEEDS // 2, n, SEEDS):
-            if not known[row, column] or far[row, column] > 1:
-                continue
-            for narrow, limit in enumerate((PLAIN, NARROW)):
-                if tried[narrow, row, column] or (narrow and not runs_on[0, row, column]):
-                    continue
-                region = _region(even, row, column, limit)
-                tried[narrow] |= region
-                if far[region].max() > WITHIN:
-                    runs_on[narrow] |= region
-                elif region.sum() >= least:
-                    closed = np.ones((CLOSED, CLOSED), np.uint8)
-                    whole = cv2.morphologyEx(region.astype(np.uint8), cv2.MORPH_CLOSE, closed) > 0
-                    place = np.stack([x, y], -1)
-                    hides, foot = _hides(whole, colour, seen, cameras, place, bool(narrow))
-                    if hides:
-                        (stands if foot else hangs)[whole] = True
+    closed, at = np.ones((CLOSED, CLOSED), np.uint8), np.stack([x, y], -1)
+    for region, narrow in _regions(even, known, far, least):
+        whole = cv2.morphologyEx(region.astype(np.uint8), cv2.MORPH_CLOSE, closed) > 0
+        hides, foot = _hides(whole, colour, seen, cameras, at, narrow=narrow)
+        if hides:
+            (stands if foot else hangs)[whole] = True
     return stands, hangs & ~stands
 
 
-def _region(colour: F32, row: int, column: int, limit: float) -> Bools:
-    """(n, n) the cells around one that have its log colour (n, n, 3), within a limit."""
-    alike = (np.abs(colour - colour[row, column]).max(-1) < limit).astype(np.uint8)
-    labels = cv2.connectedComponents(alike, connectivity=4)[1]
-    return np.asarray(labels == labels[row, column])
+def _regions(colour: F32, known: Bools, far: F64, least: float) -> Iterator[tuple[Bools, bool]]:
+    """Regions (n, n) of one colour that end on the table, and whether they are narrow.
+
+    Args:
+        colour: (n, n, 3) log colour; known: (n, n) where photos agree on one.
+        far: (n, n) from the middle, ball radii; least: cells of a region.
+    """
+    starts = known & (far <= 1)
+    for narrow, limit in ((False, PLAIN), (True, NARROW)):
+        runs_on = np.zeros_like(known)
+        for row in range(SEEDS // 2, len(colour), SEEDS):
+            for column in range(SEEDS // 2, len(colour), SEEDS):
+                if not starts[row, column]:
+                    continue
+                alike = np.abs(colour - colour[row, column]).max(-1) < limit
+                labels = cv2.connectedComponents(alike.astype(np.uint8), connectivity=4)[1]
+                region = np.asarray(labels == labels[row, column])
+                starts &= ~region
+                if far[region].max() > WITHIN:
+                    runs_on |= region
+                elif region.sum() >= least:
+                    yield region, narrow
+        starts = known & (far <= 1) & runs_on
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,12 +167,14 @@ class _Shares:
 
 
 def _hides(
-    region: Bools, colour: F32, seen: F32, cameras: F64, place: F64, narrow: bool
+    region: Bools, colour: F32, seen: F32, cameras: F64, place: F64, *, narrow: bool
 ) -> tuple[bool, bool]:
     """Whether a region of one colour is that of a body, and whether it is the body's foot.
 
     Args:
         cameras: (N, 2) and place: (n, n, 2), on the plane's axes.
+        narrow: whether the table has much the same colour: then more is asked for, and a body that
+            hangs is not told.
     """
     own = np.nanmedian(colour[region], axis=0)
     outer, inner = _Border.of(~region, place, 1.0), _Border.of(region, place, -1.0)
@@ -195,7 +203,5 @@ def _hides(
         and often > OFTEN
         and max(as_outside.across.whole, where_hidden.across.whole) > GOES_ON * often
     )
-    foot = float(np.median(as_inside.before.by_sector))
-    if narrow:
-        return bool(body and foot > SURE), foot > SURE
-    return bool(body), foot > FOOT
+    foot = bool(np.median(as_inside.before.by_sector) > (SURE if narrow else FOOT))
+    return bool(body) and (foot or not narrow), foot

@@ -18,19 +18,18 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components, dijkstra
+from scipy.sparse.csgraph import dijkstra
 
 from refdgs_pipe.artifacts.mesh import TriangleMesh
 from refdgs_pipe.irradiance import links_of
-from refdgs_pipe.mirrored import Glimpse, mirror_agreement
+from refdgs_pipe.mirrored import STANDS_OUT, Agreement, Glimpse, mirror_agreement, mirror_misfits
+from refdgs_pipe.surface.net import Net, pieces_of, plane_of
 from refdgs_pipe.surface.silhouettes import MOST, spread_evenly
 
 F64 = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
-SMOOTH = 0.01  # of the ball's diameter, by which normals are smoothed before they are compared
 TILT = np.cos(np.radians(12.0))  # between a place's normal and the plane's
 NEAR = 1.5  # limits that a place of the part may lie off its plane
 BULGE_TILT, BULGE_NEAR = np.radians(20.0), 5.0  # the same, of a bulge on a mirror
@@ -98,7 +97,7 @@ def flats_of(
         diameter: of the object ball, world units.
         mirrored: without it no bulges are looked for.
     """
-    net = _Net.of(mesh, diameter)
+    net = Net.of(mesh, diameter)
     held = np.minimum(held, MOST)
     free = np.ones(len(held), bool)
     found = _nearly_plane(net, free, held, told, limit=limit, diameter=diameter)
@@ -108,7 +107,7 @@ def flats_of(
 
 
 def _nearly_plane(
-    net: "_Net", free: Bools, held: F64, told: F64, *, limit: float, diameter: float
+    net: Net, free: Bools, held: F64, told: F64, *, limit: float, diameter: float
 ) -> list[Flat]:
     """Parts that are nearly plane, largest first. They are taken from what is `free`."""
     seen = np.zeros(len(held), bool)
@@ -121,7 +120,7 @@ def _nearly_plane(
         if share[best] < least:
             break
         tried[best] = True
-        for start in _pieces(net, free & facing[:, best], least):
+        for start in pieces_of(net, free & facing[:, best], least):
             if net.area[start & seen].sum() > 0.5 * net.area[start].sum():
                 continue
             part = _grown(net, start, free, NEAR * limit)
@@ -138,7 +137,7 @@ def _nearly_plane(
 
 
 def _bulges(
-    net: "_Net",
+    net: Net,
     free: Bools,
     held: F64,
     told: F64,
@@ -156,7 +155,7 @@ def _bulges(
     facing = net.smooth @ _directions().T > np.cos(_TOWARDS_BULGE * slopes)
     least, found = LEAST_AREA * net.area.sum(), []
     for best in np.argsort(-(net.area * free) @ facing, kind="stable"):
-        starts = _pieces(net, free & ~seen & facing[:, best], least)
+        starts = pieces_of(net, free & ~seen & facing[:, best], least)
         if not starts:
             if net.area[free & facing[:, best]].sum() < least:
                 break
@@ -174,13 +173,15 @@ def _bulges(
             if _bent_share(net, part, outwards, BEYOND * diameter) < BENT_SHARE:
                 continue
             center, normal = _lower_plane(net.points[firm], net.area[firm] * held[firm], outwards)
-            if _mirrors_as_plane(net, part, center, normal, mirrored, diameter):
+            seen_flat = _mirrored_as_plane(net, part, center, normal, mirrored, diameter)
+            if seen_flat is not None:
+                part &= ~_stands_on(net, part, center, normal, mirrored, seen_flat.spread)
                 free &= ~part
                 found.append(Flat(np.flatnonzero(part), center, normal))
     return found
 
 
-def _steepest(net: "_Net", glimpses: Sequence[Glimpse]) -> F64:
+def _steepest(net: Net, glimpses: Sequence[Glimpse]) -> F64:
     """(n,) how steep a bulge may be on a flat part that faces each of the directions, radians."""
     towards = np.stack([glimpse.camera.center for glimpse in glimpses]) - net.points.mean(0)
     towards /= np.linalg.norm(towards, axis=1, keepdims=True)
@@ -188,10 +189,10 @@ def _steepest(net: "_Net", glimpses: Sequence[Glimpse]) -> F64:
     return np.asarray(np.clip(lowest + STEEPER, BULGE_TILT, STEEPEST), np.float64)
 
 
-def _mirrors_as_plane(
-    net: "_Net", part: Bools, center: F64, normal: F64, mirrored: Mirrored, diameter: float
-) -> bool:
-    """Whether views agree far better on what the plane would mirror than on the part as it is."""
+def _mirrored_as_plane(
+    net: Net, part: Bools, center: F64, normal: F64, mirrored: Mirrored, diameter: float
+) -> Agreement | None:
+    """How views agree on the plane; None if not far better than on the part as it is."""
     points = net.points[part]
     plane = points - ((points - center) @ normal)[:, None] * normal
     shapes = ((points, net.smooth[part]), (plane, np.tile(normal, (len(plane), 1))))
@@ -206,8 +207,26 @@ def _mirrors_as_plane(
         for shape in shapes
     )
     if min(now.count, flat.count) < ENOUGH or flat.spread < TOLD_APART:
-        return False
-    return flat.misfit <= AGREES * min(now.misfit, flat.spread)
+        return None
+    return flat if flat.misfit <= AGREES * min(now.misfit, flat.spread) else None
+
+
+def _stands_on(
+    net: Net, part: Bools, center: F64, normal: F64, mirrored: Mirrored, spread: float
+) -> Bools:
+    """(V,) what stands on the plane of a part, such as a knob, as `STANDS_OUT` has it.
+
+    Args:
+        spread: of the colours that views see of the plane, sRGB.
+    """
+    rows = np.flatnonzero(part)
+    points = net.points[rows] - ((net.points[rows] - center) @ normal)[:, None] * normal
+    normals = np.tile(normal, (len(rows), 1))
+    misfits = mirror_misfits(points, normals, mirrored.glimpses, near=np.inf)
+    stands = np.zeros(len(part))
+    stands[rows] = misfits > STANDS_OUT * spread
+    beside = np.asarray(net.beside @ stands) / np.maximum(net.beside.sum(1), 1)
+    return np.asarray((stands > 0) & (beside > 0.5))
 
 
 def flattened(mesh: TriangleMesh, flats: list[Flat]) -> TriangleMesh:
@@ -228,56 +247,6 @@ def flattened(mesh: TriangleMesh, flats: list[Flat]) -> TriangleMesh:
     return TriangleMesh(points.astype(np.float32), mesh.faces)
 
 
-@dataclass(frozen=True)
-class _Net:
-    """A mesh as a net of V vertices.
-
-    Args:
-        beside: (V, V) 1 for neighbours; lengths: (V, V) of the edges, world units.
-        area: (V,) a third of the faces around.
-        smooth: (V, 3) unit normals, smoothed; rim: (V,) on an open rim.
-        step: median length of an edge, world units.
-    """
-
-    points: F64
-    beside: csr_array
-    lengths: csr_array
-    area: F64
-    smooth: F64
-    rim: Bools
-    step: float
-
-    @classmethod
-    def of(cls, mesh: TriangleMesh, diameter: float) -> "_Net":
-        points, count = mesh.vertices.astype(np.float64), len(mesh.vertices)
-        corners = mesh.faces.astype(np.int64)
-        pairs = np.sort(np.stack([corners, np.roll(corners, -1, 1)], -1).reshape(-1, 2), axis=1)
-        links, times = np.unique(pairs, axis=0, return_counts=True)
-        a, b = links.T
-        ones = np.ones(2 * len(links))
-        ends = (np.r_[a, b], np.r_[b, a])
-        beside = csr_array((ones, ends), shape=(count, count))
-        apart = np.linalg.norm(points[a] - points[b], axis=1)
-        lengths = csr_array((np.r_[apart, apart], ends), shape=(count, count))
-        p, q, r = (points[corners[:, i]] for i in range(3))
-        faces = np.linalg.norm(np.cross(q - p, r - p), axis=1) / 2
-        thirds = np.bincount(corners.ravel(), np.repeat(faces / 3, 3), minlength=count)
-        area = np.asarray(thirds, np.float64)
-        step = float(np.median(apart))
-        normals: F64 = mesh.vertex_normals().astype(np.float64) * area[:, None]
-        for _ in range(max(1, round(SMOOTH * diameter / step))):
-            normals += np.asarray(beside @ normals, np.float64)
-        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-        rim = np.zeros(count, bool)
-        rim[links[times == 1]] = True
-        return cls(points, beside, lengths, area, normals, rim, step)
-
-    def outwards(self, part: Bools) -> F64:
-        """(3,) normal of the plane of a part, on the outside of the surface."""
-        normal = _plane(self.points[part], self.area[part])[1]
-        return normal * np.sign((self.area[part] @ self.smooth[part]) @ normal)
-
-
 def _directions() -> F64:
     """(n, 3) unit vectors, evenly spread (a Fibonacci lattice)."""
     row = np.arange(_DIRECTIONS) + 0.5
@@ -287,35 +256,13 @@ def _directions() -> F64:
     return np.stack([np.cos(turn) * radius, np.sin(turn) * radius, height], 1)
 
 
-def _pieces(net: _Net, chosen: Bools, least: float) -> list[Bools]:
-    """Connected parts of the chosen vertices with at least this area, largest first."""
-    rows = np.flatnonzero(chosen)
-    labels = connected_components(net.beside[rows][:, rows], directed=False)[1]
-    areas = np.bincount(labels, net.area[rows])
-    out = []
-    for label in np.argsort(-areas, kind="stable"):
-        if areas[label] < least:
-            break
-        part = np.zeros(len(chosen), bool)
-        part[rows[labels == label]] = True
-        out.append(part)
-    return out
-
-
-def _plane(points: F64, weight: F64) -> tuple[F64, F64]:
-    """Centre and unit normal of the plane of least squares."""
-    center = np.average(points, axis=0, weights=weight)
-    away = points - center
-    return center, np.linalg.eigh((away * weight[:, None]).T @ away)[1][:, 0]
-
-
-def _grown(net: _Net, part: Bools, free: Bools, reach: float, tilt: float = TILT) -> Bools | None:
+def _grown(net: Net, part: Bools, free: Bools, reach: float, tilt: float = TILT) -> Bools | None:
     """The connected vertices near the plane of a part, and turned like it; None for none."""
     for _ in range(GROW_ROUNDS):
         center = np.average(net.points[part], axis=0, weights=net.area[part])
         normal = net.outwards(part)
         near = np.abs((net.points - center) @ normal) < reach
-        pieces = _pieces(net, free & near & (net.smooth @ normal > tilt), 0.0)
+        pieces = pieces_of(net, free & near & (net.smooth @ normal > tilt), 0.0)
         shared = [float(net.area[piece & part].sum()) for piece in pieces]
         if not shared or max(shared) == 0:
             return None
@@ -325,7 +272,7 @@ def _grown(net: _Net, part: Bools, free: Bools, reach: float, tilt: float = TILT
     return part
 
 
-def _is_flat(net: _Net, part: Bools, normal: F64, held: F64, told: F64, diameter: float) -> bool:
+def _is_flat(net: Net, part: Bools, normal: F64, held: F64, told: F64, diameter: float) -> bool:
     """Whether a part is flat by all that is known, and only outlines tell where it lies.
 
     Args:
@@ -343,7 +290,7 @@ def _is_flat(net: _Net, part: Bools, normal: F64, held: F64, told: F64, diameter
     return _bent_share(net, part, normal, BEYOND * diameter) >= BENT_SHARE
 
 
-def _bent_share(net: _Net, part: Bools, normal: F64, reach: float) -> float:
+def _bent_share(net: Net, part: Bools, normal: F64, reach: float) -> float:
     """Share of a part's border from which the surface ends or bends away within the reach."""
     border = np.flatnonzero(part & ((net.beside @ (~part).astype(float) > 0) | net.rim))
     if not len(border):
@@ -356,7 +303,7 @@ def _bent_share(net: _Net, part: Bools, normal: F64, reach: float) -> float:
     return float(length @ np.isfinite(away[border]) / length.sum())
 
 
-def _is_held(net: _Net, part: Bools, held: F64) -> bool:
+def _is_held(net: Net, part: Bools, held: F64) -> bool:
     """Whether outlines hold enough of a part, in both directions, to tell its plane.
 
     Outlines may hold no more than its border, which is a smaller share of the area the larger the
@@ -385,7 +332,7 @@ def _lower_plane(points: F64, weight: F64, outwards: F64) -> tuple[F64, F64]:
     """
     now = weight
     for _ in range(PLANE_ROUNDS):
-        center, normal = _plane(points, now)
+        center, normal = plane_of(points, now)
         normal = normal * np.sign(normal @ outwards)
         away = (points - center) @ normal
         scale = 0.5 * np.sqrt(np.average(away**2, weights=weight))

@@ -25,6 +25,7 @@ from refdgs_pipe.training.vessels import (
     is_flat_top,
     mirror_misfit,
     tried,
+    without_roof,
 )
 
 
@@ -117,7 +118,8 @@ def _solid(
     if mouth is None:
         return hull, ""
     if roof is not None and is_flat_top(photos, roof):
-        flat = replace(hull, cells=(hull.cells | mouth.hollow) & ~roof.bulge)
+        flat = replace(hull, cells=hull.cells | mouth.hollow)
+        flat = replace(flat, cells=without_roof(flat, photos, roof))
         return flat, "flat, below the roof that silhouettes leave"
     return _opened(params, model, photos, closed, hull, mouth, near, progress)
 
@@ -135,12 +137,13 @@ def _opened(
     """The solid, flat or opened below its lid if photos say so; and words for it.
 
     Args:
-        closed: the visual hull, its top no higher than the lid; hull: of `object_hull`.
+        closed: the visual hull, without a roof above the lid; hull: of `object_hull`.
     """
     plateau = find_plateau(closed, mouth.lid, model.up)
     misfit = None if plateau is None else mirror_misfit(photos, plateau)
     if plateau is not None and misfit is not None and misfit < A_MIRROR:
-        flat = replace(hull, cells=(hull.cells | mouth.hollow) & ~plateau.bulge)
+        level = closed.cells & ~plateau.bulge
+        flat = replace(hull, cells=(hull.cells | mouth.hollow) & level)
         return flat, f"a flat mirror, misfit {misfit:.2f}"
     from refdgs_pipe.training.inside import see_inside  # needs OpenCV; a GPU machine may lack it
 

@@ -10,9 +10,8 @@ walls. But photos that see one direction mirrored in it agree on what they see, 
 hollow do not. Such a lid stays closed. Silhouettes bulge on it as steeply as the lowest camera
 looks, so the bulge is cut off.
 
-If the lowest camera looks down steeply, silhouettes leave a roof on a flat top. It is too steep for
-a lid, but no steeper than that camera looks. It goes if the top is a flat mirror, or if it has one
-colour.
+If the lowest camera looks down steeply, silhouettes leave a roof on a flat top or on a mouth. It is
+too steep for a lid, but no steeper than that camera looks. The level part below it is judged.
 """
 
 from collections.abc import Callable, Sequence
@@ -27,12 +26,13 @@ from scipy.ndimage import (
     distance_transform_edt,
     gaussian_filter,
     label,
+    median_filter,
     minimum_filter,
 )
 
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.camera import F64, Camera
-from refdgs_pipe.mirrored import Agreement, Glimpse, mirror_agreement
+from refdgs_pipe.mirrored import STANDS_OUT, Agreement, Glimpse, mirror_agreement, mirror_misfits
 from refdgs_pipe.training.carving import boundary
 from refdgs_pipe.training.field import TrainableField
 from refdgs_pipe.training.initial import F32, Hull
@@ -52,8 +52,8 @@ HOLLOW = 0.15  # of the hull's cells that a hollow has, at least
 STILL_CLOSED = 0.6  # of the hollow's cells that photo agreement did not open
 STEEP = np.radians(25.0)  # elevation of the lowest camera, from which on roofs are looked for
 STEEPER = np.radians(5.0)  # by which a roof, made of cells, may be steeper than the camera looks
-ROOF_SHARE = 0.95  # of the top, on which the roof may be no steeper
-RISE = 2.0  # cells that a roof may be higher than the camera's elevation allows
+RISE = 2.0  # cells that a roof may be higher than this slope allows
+ROOF = 0.95  # of the level part's columns: the least share on which a roof is no higher
 LOOKS_IN = 0.3  # sine of the elevation from which a photo looks into a mouth
 FEWEST = 8  # photos that look in
 EACH = 4  # of those, one in so many is held out
@@ -65,7 +65,7 @@ DROP = 2.5  # cells to a neighbouring column, from which on a level part ends
 PLATEAU = 0.25  # of the lid's columns, that the largest level part has, at least
 A_MIRROR = 0.6  # `mirror_misfit` below which a level part is a flat mirror
 ENOUGH = 50  # samples of a lid that other photos say something of
-UNSHADED = 0.04  # of a colour: spread of the colours of a part that is turned one way
+UNSHADED = 0.04  # spread of the colours of a plain flat top, by their median; a dome is shaded
 PLAIN = 0.02  # spread of a lid's colours, sRGB, below which they tell nothing
 _SHORT = {
     "iterations": STEPS,
@@ -176,18 +176,11 @@ class Plateau:
     Args:
         points: (N, 3) world, one for each column of the grid; normal: (3,) unit, up.
         bulge: (n, n, n) the cells of the hull above them.
-        rise: (N,) how many cells that is; inward: (N,) cells from the part's border.
     """
 
     points: F64
     normal: F64
     bulge: Bools
-    rise: F64
-    inward: F64
-
-    def is_roof(self, slope: float) -> bool:
-        """Whether the bulge rises from the border, nowhere steeper than `slope` (radians)."""
-        return bool((self.rise <= RISE + np.tan(slope) * self.inward).mean() > ROOF_SHARE)
 
 
 def find_plateau(hull: Hull, lid: F64, up: F64) -> Plateau | None:
@@ -211,8 +204,7 @@ def find_plateau(hull: Hull, lid: F64, up: F64) -> Plateau | None:
     for h in range(n):
         parts, _ = label(height >= h)
         level[np.isin(parts, np.unique(parts[border & (height >= h)])) & (parts > 0)] = h
-    places = np.rint((lid - hull.ball.center - hull.ticks[0]) / (hull.ticks[1] - hull.ticks[0]))
-    columns = np.unique(np.delete(places.astype(np.int64), axis, axis=1), axis=0)
+    columns = _columns(hull, lid, axis)
     at = level[tuple(columns.T)]
     counts = np.bincount(at[at >= 0], minlength=1)
     best = int(counts.argmax())
@@ -224,17 +216,19 @@ def find_plateau(hull: Hull, lid: F64, up: F64) -> Plateau | None:
     above = np.zeros_like(cells)
     above[tuple(rows.T)] = np.arange(n) > best
     bulge = np.moveaxis((above & cells)[:, :, ::step], 2, axis)
-    part = np.zeros(height.shape, bool)
-    part[tuple(rows.T)] = True
-    inward = distance_transform_edt(np.pad(part, 1))[1:-1, 1:-1][part]  # rows are sorted
-    rise = (height[part] - best).astype(np.float64)
-    return Plateau(points, step * np.eye(3)[axis], bulge, rise, inward)
+    return Plateau(points, step * np.eye(3)[axis], bulge)
+
+
+def _columns(hull: Hull, points: F64, axis: int) -> NDArray[np.int64]:
+    """(M, 2) the columns of the grid along an axis, in which points (N, 3) lie."""
+    places = np.rint((points - hull.ball.center - hull.ticks[0]) / (hull.ticks[1] - hull.ticks[0]))
+    return np.unique(np.delete(places.astype(np.int64), axis, axis=1), axis=0)
 
 
 def find_roof(hull: Hull, cameras: Sequence[Camera], up: F64) -> Plateau | None:
-    """A level part of the hull under a roof that silhouettes leave, seen from above only.
+    """The level part of the hull below a roof, which is the plateau's bulge.
 
-    None if a camera looks from low, or if the roof is steeper than the lowest camera looks.
+    None if a camera looks from low, or if the bulge is steeper than silhouettes make a roof.
     """
     towards = np.stack([camera.center for camera in cameras]) - hull.ball.center
     sine = towards @ up / np.linalg.norm(towards, axis=1)
@@ -243,9 +237,19 @@ def find_roof(hull: Hull, cameras: Sequence[Camera], up: F64) -> Plateau | None:
         return None
     mouth = find_mouth(hull, up, lowest + STEEPER)
     plateau = None if mouth is None else find_plateau(hull, mouth.lid, up)
-    if mouth is None or plateau is None or not plateau.is_roof(lowest + STEEPER):
+    if plateau is None or not _is_roof(hull, plateau, lowest + STEEPER):
         return None
     return plateau
+
+
+def _is_roof(hull: Hull, plateau: Plateau, slope: float) -> bool:
+    """Whether the bulge of a level part rises from its border, at most by `slope` (radians)."""
+    axis = int(np.abs(plateau.normal).argmax())
+    part = np.zeros((len(hull.ticks),) * 2, np.bool_)
+    part[tuple(_columns(hull, plateau.points, axis).T)] = True
+    inward = distance_transform_edt(np.pad(part, 1))[1:-1, 1:-1]  # cells from the border
+    fits = plateau.bulge.sum(axis) <= RISE + np.tan(slope) * inward
+    return bool(fits[part].mean() > ROOF)
 
 
 def mirror_misfit(photos: Sequence[TrainingPhoto], plateau: Plateau) -> float | None:
@@ -264,8 +268,29 @@ def mirror_misfit(photos: Sequence[TrainingPhoto], plateau: Plateau) -> float | 
 def is_flat_top(photos: Sequence[TrainingPhoto], plateau: Plateau) -> bool:
     """Whether the level part under a roof is a flat mirror, or has one colour, without shading."""
     found = _mirrored_in(photos, plateau)
-    limit = A_MIRROR * max(found.spread, UNSHADED * found.level)
-    return bool(found.count >= ENOUGH and found.misfit < limit)
+    return bool(found.count >= ENOUGH and found.misfit < A_MIRROR * _scale(found))
+
+
+def without_roof(hull: Hull, photos: Sequence[TrainingPhoto], plateau: Plateau) -> Bools:
+    """(n, n, n) the hull's cells without the roof on a flat top.
+
+    What stands on the top, such as a knob, keeps the roof above it: photos do not agree there on
+    what the top would mirror.
+    """
+    normals = np.tile(plateau.normal, (len(plateau.points), 1))
+    glimpses = [_glimpse(photo) for photo in photos]
+    misfits = mirror_misfits(plateau.points, normals, glimpses, near=np.inf)
+    limit = STANDS_OUT * _scale(_mirrored_in(photos, plateau))
+    axis = int(np.abs(plateau.normal).argmax())
+    stands = np.zeros((len(hull.ticks),) * 2, np.bool_)
+    stands[tuple(_columns(hull, plateau.points[misfits > limit], axis).T)] = True
+    stands = binary_dilation(median_filter(stands, 3))
+    return np.asarray(hull.cells & ~(plateau.bulge & ~np.expand_dims(stands, axis)))
+
+
+def _scale(found: Agreement) -> float:
+    """What misfits of a flat top are compared with, sRGB: the spread of its colours, or noise."""
+    return max(found.spread, UNSHADED * found.level)
 
 
 def _mirrored_in(photos: Sequence[TrainingPhoto], plateau: Plateau) -> Agreement:

@@ -109,6 +109,7 @@ RECIPES = {
     "dish": Recipe(o.gold_bowl, p.mosaic, "office", b.from_above, seed=209),
     "brew": Recipe(m.teapot, p.planks, "attic", b.from_above, seed=210),
     "bread": Recipe(o.toaster, papers, "studio", b.from_above, seed=204),
+    "coffer": Recipe(o.mirror_box, p.stone, "office", b.from_above, seed=208),
     "lantern": Recipe(k.lamp, p.stone, "office", b.in_haste, seed=201, checking=True, photos=20),
     "mat": Recipe(k.vase, p.placemat, "attic", p.spiral, seed=81, checking=True),
 }

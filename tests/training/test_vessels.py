@@ -26,6 +26,7 @@ from refdgs_pipe.training.vessels import (
     is_flat_top,
     mirror_misfit,
     tried,
+    without_roof,
 )
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -113,8 +114,12 @@ def test_a_bulge_on_a_level_part_is_what_lies_above_its_border(down: bool) -> No
     assert find_plateau(solid, lid, np.array([0.0, 0.6, 0.8])) is None
 
 
-def photos_of(normal: Callable[[np.ndarray], np.ndarray]) -> list[TrainingPhoto]:
-    """Photos of the plane z = 0 that mirrors a coloured sky; normal: (N, 3) at places (N, 3)."""
+def photos_of(normal: Callable[[np.ndarray], np.ndarray], spot: float = 0.0) -> list[TrainingPhoto]:
+    """Photos of the plane z = 0 that mirrors a coloured sky, but for a dark round spot.
+
+    Args:
+        normal: (N, 3) at places (N, 3); spot: its radius, around x = 0.35 and y = 0.
+    """
     out = []
     for turn in np.linspace(0, 2 * np.pi, 24, endpoint=False):
         tilt = np.deg2rad(55 if len(out) % 2 else 40)
@@ -128,9 +133,11 @@ def photos_of(normal: Callable[[np.ndarray], np.ndarray]) -> list[TrainingPhoto]
         camera = Camera(f"{len(out)}", 64, 64, K, pose)
         rays = camera.pixel_rays().reshape(-1, 3) @ rotation
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-        n = normal(eye - rays * (eye[2] / rays[:, 2:]))
+        place = eye - rays * (eye[2] / rays[:, 2:])
+        n = normal(place)
         away = rays - 2 * (rays * n).sum(1, keepdims=True) * n
         sky = 0.5 + 0.5 * np.sin(7 * away @ np.array([[1.0, 2, 0], [0, 1, -2], [1, 0, 1]]))
+        sky[np.linalg.norm(place - [0.35, 0, 0], axis=1) < spot] = 0
         rgb = torch.from_numpy(np.round(255 * sky).astype(np.uint8).reshape(64, 64, 3))
         mask = torch.full((64, 64), 255, dtype=torch.uint8)
         pinhole = Pinhole.of(camera, 0.1)
@@ -141,8 +148,7 @@ def photos_of(normal: Callable[[np.ndarray], np.ndarray]) -> list[TrainingPhoto]
 def test_photos_agree_on_a_flat_mirror_and_not_on_a_polished_hollow() -> None:
     place = np.linspace(-0.6, 0.6, 30)
     x, y = (a.ravel() for a in np.meshgrid(place, place))
-    none = np.zeros(len(x))
-    plateau = Plateau(np.stack([x, y, 0 * x], 1), UP, np.zeros((2, 2, 2), bool), none, none)
+    plateau = Plateau(np.stack([x, y, 0 * x], 1), UP, np.zeros((2, 2, 2), bool))
     flat = mirror_misfit(photos_of(lambda p: np.tile(UP, (len(p), 1))), plateau)
 
     def bowl(p: np.ndarray) -> np.ndarray:
@@ -157,8 +163,7 @@ def test_photos_agree_on_a_flat_mirror_and_not_on_a_polished_hollow() -> None:
 def test_a_top_is_flat_if_it_mirrors_as_a_plane_or_shows_no_shading() -> None:
     place = np.linspace(-0.6, 0.6, 30)
     x, y = (a.ravel() for a in np.meshgrid(place, place))
-    none = np.zeros(len(x))
-    plateau = Plateau(np.stack([x, y, 0 * x], 1), UP, np.zeros((2, 2, 2), bool), none, none)
+    plateau = Plateau(np.stack([x, y, 0 * x], 1), UP, np.zeros((2, 2, 2), bool))
 
     def dome(p: np.ndarray) -> np.ndarray:
         tilted = UP + 0.9 * p
@@ -204,6 +209,20 @@ def test_a_roof_is_found_if_no_camera_looks_from_low() -> None:
     level = replace(solid, cells=solid.cells & ~bulge)
     mouth = find_mouth(level, UP)  # what is below may be a vessel
     assert mouth is not None and not (mouth.vessel.cells & bulge).any()
+
+
+def test_what_stands_on_a_flat_top_keeps_its_roof() -> None:
+    solid = hull(np.asarray(ROOF | POST))
+    found = find_roof(solid, cameras_at(40), UP)
+    assert found is not None
+    top = replace(found, points=found.points * [1, 1, 0])  # where the photos have it
+    photos = photos_of(lambda p: np.tile(UP, (len(p), 1)), spot=0.15)
+    assert is_flat_top(photos, top)
+    left = without_roof(solid, photos, top)
+    assert not (left & ~solid.cells).any()
+    kept = (left & found.bulge).any(2)
+    away = np.hypot(X - 0.35, Y)[:, :, 0]
+    assert kept[away < 0.08].all() and not kept[away > 0.3].any()
 
 
 def test_a_vessel_has_to_explain_clearly_more() -> None:
