@@ -11,7 +11,7 @@ from refdgs_pipe.masking.settings import MasksParams
 from refdgs_pipe.pipeline.stage import Job, stage
 
 
-@stage(version=26, programs=("opencv-contrib-python-headless", "scipy"))
+@stage(version=27, programs=("opencv-contrib-python-headless", "scipy"))
 def masks(
     views: Views, model: SparseModel, lighting: Lighting, params: MasksParams, job: Job
 ) -> Masks:
@@ -48,7 +48,7 @@ def masks(
         return none("the sparse points show no plane that the object stands on")
     torch.set_num_threads(1)  # photos are worked on side by side
     told = partial(job.progress, "finding the object")
-    found = object_masks(views, model, plane.at, told, threads=job.threads, lamp=lighting.lamp)
+    found = object_masks(views, model, plane.at, told, threads=job.threads, light=lighting)
     if found is None:
         return none("nothing stands on the plane that all photos agree on")
     mean, low = agreement(found)

@@ -27,6 +27,10 @@ CLOSED = 7  # cells: gaps in a region that are closed
 EDGE = 2, 6  # cells beside a region's border that are looked at, on either side
 SET_OFF = 0.65  # share of the places right outside that differ from a narrow region, at least
 DIFFERS = 0.25  # of log colour, between what a photo shows and what the photos agree on
+# Least step of log colour across a region's border, and share of the border that has it. A shadow
+# fades, a body ends. The same for narrow regions, whose steps are smaller
+STEP, STEPS = 0.5, 0.5
+NARROW_STEP, NARROW_STEPS = DIFFERS, 0.7
 LIKE = 0.5  # of log colour, from the region's, of what may be the same body
 ACROSS = 0.5  # cosine between a border's outward direction and that to a camera
 SECTORS = 8  # of outward directions
@@ -166,6 +170,21 @@ class _Shares:
             share.add(sector[at], so[at])
 
 
+def _steps(colour: F32, outer: _Border, inner: _Border) -> F32:
+    """(K,) by how much log colour outside of a border differs from that inside, close by.
+
+    Args:
+        colour: (n, n, 3) log colour; NaN where unknown.
+    """
+    size = (2 * EDGE[1] + 5,) * 2
+    use = (inner.cells & np.isfinite(colour[..., 0])).astype(np.float32)
+    total = cv2.blur(np.where(use[..., None] > 0, colour, 0).astype(np.float32), size)
+    share = cv2.blur(use, size)
+    near = total / np.maximum(share, 1e-6)[..., None]
+    apart = np.abs(colour - near).max(-1)[outer.cells & (share > 0.5 / size[0] ** 2)]
+    return np.asarray(apart[np.isfinite(apart)], np.float32)
+
+
 def _hides(
     region: Bools, colour: F32, seen: F32, cameras: F64, place: F64, *, narrow: bool
 ) -> tuple[bool, bool]:
@@ -181,6 +200,10 @@ def _hides(
     agreed = colour[outer.cells]
     other = np.abs(agreed - own).max(-1) > DIFFERS
     if narrow and np.count_nonzero(other) < SET_OFF * other.size:
+        return False, False
+    step, least = (NARROW_STEP, NARROW_STEPS) if narrow else (STEP, STEPS)
+    steps = _steps(colour, outer, inner)
+    if not len(steps) or np.mean(steps > step) < least:
         return False, False
     hidden, as_outside, as_inside, where_hidden = (_Shares() for _ in range(4))
     for camera, photo in zip(cameras, seen, strict=True):

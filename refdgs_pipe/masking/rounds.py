@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from refdgs_pipe.artifacts.lighting import Lighting
 from refdgs_pipe.artifacts.sparse_model import Ball, SparseModel
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import F64
@@ -86,7 +87,7 @@ def object_masks(
     progress: Callable[[int, int], None],
     *,
     threads: int = 1,
-    lamp: F64 | None = None,
+    light: Lighting | None = None,
 ) -> Found | None:
     """Masks of what stands on a plane, or None where nothing is found.
 
@@ -97,13 +98,13 @@ def object_masks(
         plane: unit normal and offset, world.
         progress: told the rounds done and their number; may raise.
         threads: photos that are worked on at a time; the result does not depend on it.
-        lamp: (3,) of a flash, in the camera's frame, whose shadow moves with it.
+        light: a flash, whose shadow moves with it, or a turntable; None for a still light.
     """
     found: Found | None = None
-    stands = foot(views, model, plane, threads, flash=lamp is not None)
+    stands = foot(views, model, plane, threads, flash=light is not None and light.lamp is not None)
     total, done = sum(len(level.denials) for level in LEVELS) + 1, 0
     for level in LEVELS:
-        worker = _Worker(views, model, plane, level, found, threads, stands, lamp)
+        worker = _Worker(views, model, plane, level, found, threads, stands, light)
         for deny in level.denials:
             progress(done, total)
             found = worker.round(found, deny)
@@ -116,7 +117,7 @@ def object_masks(
     return (
         None
         if found is None
-        else _Worker(views, model, plane, LAST, found, threads, stands, lamp).final(found)
+        else _Worker(views, model, plane, LAST, found, threads, stands, light).final(found)
     )
 
 
@@ -161,10 +162,11 @@ class _Worker:
         found: Found | None,
         threads: int,
         stands: Foot,
-        lamp: F64 | None,
+        light: Lighting | None,
     ) -> None:
         self.normal, self.offset = self.plane = plane
-        self.lamp = lamp
+        self.lamp = None if light is None else light.lamp
+        self.turns = light is not None and light.kind == "turntable"
         self.level, self.ball, self.threads = level, model.ball, threads
         self.inner = INNER if level is LAST else 1.0
         whole = whole_shots(views, model, level.side)
@@ -204,7 +206,7 @@ class _Worker:
         if solid.sum() < LEAST_CELLS:
             return None
         if found is not None:
-            solid = covering(self.cells, solid, self.shots, free, known, _sure(values, known))
+            solid = self._covering(solid, free, known, values)
         outlines = self._silhouettes(solid)
         final = self._near_outlines(values, outlines)
         return self._placed(final, outlines, solid, None if found is None else found.room)
@@ -226,7 +228,7 @@ class _Worker:
             solid = agreed(self.cells, self.shots, free, known, self.normal, deny=deny)
             if solid.sum() < LEAST_CELLS:
                 return None
-            solid = covering(self.cells, solid, self.shots, free, known, _sure(values, known))
+            solid = self._covering(solid, free, known, values)
             solid = standing(self.cells, solid, self.shots, free, known, self.plane)
             outlines = self._silhouettes(solid)
             self.band = [max(2, round(band / 2)) for band in self.band]
@@ -310,6 +312,12 @@ class _Worker:
             grown(mask > FREE, max(1, round(pixels_of(length, shot, self.ball.center))))
             for mask, shot in zip(masks, self.shots, strict=True)
         ]
+
+    def _covering(
+        self, solid: Bools, free: list[Bools], known: list[Bools], values: list[F32]
+    ) -> Bools:
+        sure = _sure(values, known)
+        return covering(self.cells, solid, self.shots, free, known, sure, turns=self.turns)
 
     def _silhouettes(self, solid: Bools) -> list[Bools]:
         return [silhouette(self.cells, solid, shot) for shot in self.shots]

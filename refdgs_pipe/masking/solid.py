@@ -22,6 +22,7 @@ DOUBTED = 0.5  # share of the photos that can tell, which may deny a cell that c
 TIE = 0.05  # of that share: cells of one ray that differ by less are denied equally often
 MUCH = 0.25  # of the solid's silhouette: a photo that is sure of more is not sure of the object
 MOST = 0.06  # of the solid's cells that may come back: round a turntable photos are sure of more
+FEWEST, OFTEN = 3, 0.1  # photos, or their share, that may be asked to agree on cells that come back
 LOW = 0.06  # of the ball's radius: what lies lower is at the contact with the plane
 BARELY = 0.09  # share of the photos that can tell, which may deny a cell at the contact
 SHADOW_CELLS = 256  # along an edge of the plane, on which shadows are drawn
@@ -92,16 +93,20 @@ def covering(
     free: list[Bools],
     known: list[Bools],
     sure: list[Bools],
+    *,
+    turns: bool = False,
 ) -> Bools:
     """(n ** 3,) the solid, and cells that come back because photos are sure to show something.
 
     A white rim before a white cloth is denied by photos from above, with little evidence. Photos
     that see it before a dark wall are sure of it: along each of their rays there is something,
-    where the fewest photos deny it.
+    where the fewest photos deny it. If that makes too many cells, only those come back that two or
+    more photos ask for.
 
     Args:
         solid: (n ** 3,) as from `agreed`; free, known: as there.
         sure: (H, W) where each photo is sure to show the object.
+        turns: whether the object turned in a still room; then none come back if it is too many.
     """
     index = np.flatnonzero(cells.inside & ~solid)
     index, seen, told, denied = _polled(cells, index, shots, free, known, DOUBTED)
@@ -109,7 +114,7 @@ def covering(
     likely = (seen >= SHOWN * len(shots)) & (told >= KNOWN * len(shots)) & (share <= DOUBTED)
     index, share = index[likely], share[likely]
     points = cells.points[index]
-    back = np.zeros(len(index), bool)
+    asked = np.zeros(len(index), np.int64)
     for shot, pixels in zip(shots, sure, strict=True):
         step = max(1, round(0.8 * pixels_of(cells.size, shot, cells.points.mean(0))))
         shown = silhouette(cells, solid, shot).astype(np.uint8)
@@ -121,10 +126,13 @@ def covering(
         rows, rays = _on_rays(points, shot, bare, step)
         least = np.full(rays.max(initial=0) + 1, np.inf)
         np.minimum.at(least, rays, share[rows])
-        back[rows[share[rows] <= least[rays] + TIE]] = True
+        asked[np.unique(rows[share[rows] <= least[rays] + TIE])] += 1
     out = solid.copy()
-    if back.sum() <= MOST * solid.sum():
-        out[index[back]] = True
+    for fewest in range(1, 2 if turns else max(FEWEST, round(OFTEN * len(shots))) + 1):
+        back = asked >= fewest
+        if back.sum() <= MOST * solid.sum():
+            out[index[back]] = True
+            break
     return out
 
 

@@ -226,6 +226,26 @@ def test_a_little_that_photos_are_sure_of_comes_back_where_others_deny_it(lost: 
     assert np.mean(cells.points[added, 2] > CENTER[2]) > 0.95  # where it was lost
 
 
+def test_what_two_photos_ask_for_comes_back_although_one_photo_asks_for_too_much() -> None:
+    cells = grid(BALL, UP, 0.0, 32)
+    shots, truth = ring_of_shots()
+    known = [np.ones_like(t) for t in truth]
+    wide = [cv2.dilate(t.astype(np.uint8), np.ones((9, 9))) > 0 for t in truth]
+    free = [w if i % 2 else t.copy() for i, (w, t) in enumerate(zip(wide, truth, strict=True))]
+    for i in (0, 2, 4):  # photos from above lose the ball's far side
+        rows = np.flatnonzero(truth[i].any(1))
+        free[i][: int(rows[0] + 0.2 * len(rows))] = False
+    solid = agreed(cells, shots, free, known, UP, deny=0.08)
+    sure = [t if i % 2 else np.zeros_like(t) for i, t in enumerate(truth)]
+    sure[1] = wide[1]
+    back = covering(cells, solid, shots, free, known, sure)
+    added = back & ~solid
+    away = np.linalg.norm(cells.points - CENTER, axis=1)
+    assert added.sum() > 0.01 * solid.sum()
+    assert np.mean(away[added] < 1.1 * RADIUS) > 0.9
+    assert (covering(cells, solid, shots, free, known, sure, turns=True) == solid).all()
+
+
 @pytest.mark.parametrize("denying", [1, 4])
 def test_a_foot_that_one_photo_of_many_denies_comes_back(denying: int) -> None:
     cells = grid(BALL, UP, 0.0, 64)

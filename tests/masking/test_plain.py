@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from boxes import BLACK, BODY, FLAT, GROUND, REACH, WHITE, Box, N, cameras, shown
+from boxes import BLACK, BODY, FLAT, GROUND, REACH, TABLE, WHITE, Box, N, cameras, shown
 
 from refdgs_pipe.ground.shots import Bools
 from refdgs_pipe.masking.plain import plain_bodies
@@ -39,6 +39,18 @@ def test_a_foot_is_found_that_looks_much_like_a_part_of_the_table() -> None:
     x, y = np.meshgrid(place, place)
     true = (np.abs(x) < 0.4) & (np.abs(y) < 0.3)
     assert (found & true).sum() / (found | true).sum() > 0.8
+
+
+def test_a_shadow_round_a_dark_body_is_not_taken_for_its_foot() -> None:
+    place = ((np.arange(N) + 0.5) / N * 2 - 1) * REACH
+    away = np.hypot(*np.meshgrid(place, place))
+    bare, seen = shown([]), shown([((-0.2, -0.2, 0.0), (0.2, 0.2, 0.8), TABLE - 1.0)])
+    hidden = (seen != bare).any(-1, keepdims=True)
+    shade = (TABLE - 1.5 * np.exp(-((away / 0.35) ** 2)))[..., None]
+    plane = np.where(away[..., None] < 0.8, shade, np.median(bare, axis=0))
+    seen = np.where(hidden, seen, plane).astype(np.float32)
+    found = plain_bodies(np.median(seen, axis=0), seen, GROUND, cameras(), 1.0)[0]
+    assert not found[away > 0.3].any()
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ import more_objects as m
 import numpy as np
 import objects as o
 import places as p
+import shelf as s
 from capture import tex_newspaper
 
 
@@ -111,5 +112,14 @@ RECIPES = {
     "bread": Recipe(o.toaster, papers, "studio", b.from_above, seed=204),
     "coffer": Recipe(o.mirror_box, p.stone, "office", b.from_above, seed=208),
     "lantern": Recipe(k.lamp, p.stone, "office", b.in_haste, seed=201, checking=True, photos=20),
+    "can": Recipe(s.watering_can, p.planks, "square", p.rings, seed=301),
+    "knot": Recipe(s.knot, papers, "office", p.spiral, seed=303, checking=True),
+    "boxes": Recipe(s.boxes, p.stone, "attic", p.rings, seed=305, checking=True, drift=0.05),
+    "dog": Recipe(s.dog, p.mosaic, "room_b", p.rings, seed=307, checking=True),
+    "speaker": Recipe(s.speaker, p.planks, "office", p.rings, seed=309, checking=True),
+    "radio": Recipe(s.radio, papers, "square", p.spiral, seed=311, drift=0.05),
+    "toy": Recipe(m.car, papers, "attic", b.from_low, seed=207, photos=24),
+    "tablet": Recipe(m.phone, p.mosaic, "room_b", b.from_above, seed=202),
+    "pawns": Recipe(d.chessmen, p.stone, "attic", b.near_and_far, seed=203, checking=True),
     "mat": Recipe(k.vase, p.placemat, "attic", p.spiral, seed=81, checking=True),
 }
