@@ -316,6 +316,7 @@ class _Worker:
     def _covering(
         self, solid: Bools, free: list[Bools], known: list[Bools], values: list[F32]
     ) -> Bools:
+        """(n ** 3,) the solid, and cells that come back, as the function of that name has it."""
         sure = _sure(values, known)
         return covering(self.cells, solid, self.shots, free, known, sure, turns=self.turns)
 

@@ -22,7 +22,8 @@ DOUBTED = 0.5  # share of the photos that can tell, which may deny a cell that c
 TIE = 0.05  # of that share: cells of one ray that differ by less are denied equally often
 MUCH = 0.25  # of the solid's silhouette: a photo that is sure of more is not sure of the object
 MOST = 0.06  # of the solid's cells that may come back: round a turntable photos are sure of more
-FEWEST, OFTEN = 3, 0.1  # photos, or their share, that may be asked to agree on cells that come back
+# How many photos, at most, have to ask for a cell before none comes back: that many, or that share
+FEWEST, OFTEN = 3, 0.1
 LOW = 0.06  # of the ball's radius: what lies lower is at the contact with the plane
 BARELY = 0.09  # share of the photos that can tell, which may deny a cell at the contact
 SHADOW_CELLS = 256  # along an edge of the plane, on which shadows are drawn
@@ -128,7 +129,8 @@ def covering(
         np.minimum.at(least, rays, share[rows])
         asked[np.unique(rows[share[rows] <= least[rays] + TIE])] += 1
     out = solid.copy()
-    for fewest in range(1, 2 if turns else max(FEWEST, round(OFTEN * len(shots))) + 1):
+    strictest = 1 if turns else max(FEWEST, round(OFTEN * len(shots)))
+    for fewest in range(1, strictest + 1):
         back = asked >= fewest
         if back.sum() <= MOST * solid.sum():
             out[index[back]] = True

@@ -12,7 +12,7 @@ from scenes import LIN, mix, obj, tex_noise, uvgrid
 
 
 def watering_can() -> Objects:
-    """A can of satin zinc with a long spout, a rose of brass and a large round handle."""
+    """A can of satin zinc with a long spout, a rose of copper and a large round handle."""
     zinc = {"type": "metal", "preset": "Al", "alpha": 0.2}
     body = [
         (1e-4, 0.0), (0.44, 0.0), (0.46, 0.03), (0.4, 0.72), (0.36, 0.73),
@@ -126,7 +126,7 @@ def speaker() -> Objects:
 
 
 def radio() -> Objects:
-    """A low radio of cream plastic: a brown cloth front, a brass dial and a bent chrome handle."""
+    """A low radio of cream plastic: a brown cloth front, a gold dial and a bent chrome handle."""
     u, v = uvgrid(512)
     weave = 0.5 + 0.5 * np.sin(u * 300) * np.sin(v * 160)
     cloth = mix(LIN("4a2f1c"), LIN("87643f"), weave)
