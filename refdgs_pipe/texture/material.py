@@ -43,14 +43,14 @@ def materials(surface: Surface, mesh: UvMesh, texels: Texels, looks: Appearance)
         ],
         axis=1,
     )
-    there = texels.interpolate(mesh, table[_nearest(looks.points, mesh.vertices)])
+    there = texels.interpolate(mesh, table[nearest(looks.points, mesh.vertices)])
     metallic = there[:, 1:2]
     scattered = np.clip(surface.diffuse * there[:, 3:6], 0, 1)
     base = scattered * (1 - metallic) + there[:, 6:9] * metallic
     return Materials(base, there[:, 0], metallic[:, 0], there[:, 2])
 
 
-def _nearest(points: F32, wanted: F32) -> NDArray[np.int64]:
+def nearest(points: F32, wanted: F32) -> NDArray[np.int64]:
     """(N,) which of the points is nearest; a mesh and its charts have the same ones."""
     from scipy.spatial import cKDTree
 

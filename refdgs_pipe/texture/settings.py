@@ -1,10 +1,10 @@
-"""Settings of the stage `appearance`."""
+"""Settings of the stages `appearance` and `bake`."""
 
 from typing import Literal
 
 from pydantic import Field
 
-from refdgs_pipe.params import Params
+from refdgs_pipe.params import Params, PowerOfTwo
 
 
 class AppearanceParams(Params):
@@ -22,3 +22,16 @@ class AppearanceParams(Params):
     tolerance: float = Field(
         0.01, gt=0, le=0.2, description="largest gap of mesh and field, in ball diameters"
     )
+
+
+class BakeParams(Params):
+    """The textures."""
+
+    size: PowerOfTwo = Field(
+        2048, ge=64, le=8192, description="texels along a side; a power of two"
+    )
+    tolerance: float = Field(
+        0.01, gt=0, le=0.2, description="largest gap of mesh and field, in ball diameters"
+    )
+    refine: bool = Field(True, description="correct base colours by the photos, in the light found")
+    detail: bool = Field(False, description="take fine detail of base colours from the photos")

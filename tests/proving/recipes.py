@@ -11,6 +11,7 @@ import more_objects as m
 import numpy as np
 import objects as o
 import places as p
+import printed as w
 import shelf as s
 from capture import tex_newspaper
 
@@ -122,4 +123,15 @@ RECIPES = {
     "tablet": Recipe(m.phone, p.mosaic, "room_b", b.from_above, seed=202),
     "pawns": Recipe(d.chessmen, p.stone, "attic", b.near_and_far, seed=203, checking=True),
     "mat": Recipe(k.vase, p.placemat, "attic", p.spiral, seed=81, checking=True),
+    "label": Recipe(
+        w.medicine,
+        papers,
+        "office",
+        p.rings,
+        seed=401,
+        size=(3000, 2250),
+        photos=21,
+        focal=45.0,
+        noise=1.5e-3,
+    ),
 }

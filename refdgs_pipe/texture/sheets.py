@@ -1,0 +1,198 @@
+"""What one photo adds to the base colours of an asset, in its own pixels."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from refdgs_pipe.artifacts.photos import Photo
+from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
+from refdgs_pipe.camera import Camera
+from refdgs_pipe.color import fractions, linear_from_srgb
+from refdgs_pipe.ray_casting import Hits, Solid, at_hits
+from refdgs_pipe.texture.aligning import shifts
+
+F32 = NDArray[np.float32]
+Ints = NDArray[np.int64]
+
+_FINE = 12.0  # pixels (sigma): what changes more slowly is the mean of all photos
+_BROAD = 48.0  # pixels (sigma): what changes still more slowly is that of the asset
+_COARSE = 4  # pixels for one of the pictures in which slow changes are found
+_LEAST_COSINE = 0.25
+_WHITE = 0.99  # sRGB: brighter pixels are clipped and tell nothing
+_LEAST_MATTE = 0.3  # share of non-metal, from which on a place has detail
+_DARK = 0.02  # of the light received: darker places tell nothing of the base colour
+_ALIKE = 4.0  # pixels (sigma): what is broader is alike in photo and asset
+_PLAIN = 1e-3  # variance of base colours that tells no factor
+_STEEPEST = 1.0  # linear: no detail is stronger
+_ROW = 1024  # cv2.remap refuses more than 32767 rows or columns
+
+
+@dataclass(frozen=True, eq=False)
+class Sheet:
+    """One photo's detail, and where it shows the surface.
+
+    Args:
+        camera: of these pixels.
+        depth: (H, W) of the mesh along the camera's axis; 0 where there is none.
+        fine: (H, W, 3) linear base colour that the asset lacks, without slow changes.
+        broad: (H, W, 3) the same of slower changes, without very slow ones.
+        good: (H, W) 1 where both can be used.
+    """
+
+    camera: Camera
+    depth: F32
+    fine: F32
+    broad: F32
+    good: F32
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """An asset that photos are compared with.
+
+    Args:
+        solid: its mesh; received: (V, 3) linear radiance of a white matte surface at its vertices.
+        textured: it; like: the same with base colours that photos are aligned with.
+        near: steps in depth that are larger part two surfaces, world units.
+    """
+
+    solid: Solid
+    received: F32
+    textured: TexturedMesh
+    like: TexturedMesh
+    near: float
+
+    def under(self, photo: Photo) -> Sheet | None:
+        """What a photo adds; None if it shows nothing of the asset that is matte."""
+        camera, mesh = photo.camera, self.textured.mesh
+        rays = (camera.pixel_rays() @ camera.cam_from_world[:3, :3]).reshape(-1, 3)
+        hits = self.solid.first(camera.center.astype(np.float32), rays.astype(np.float32))
+        if not len(hits.rays):
+            return None
+        shape = (camera.height, camera.width)
+        depth = np.zeros(shape, np.float32)
+        depth.reshape(-1)[hits.rays] = hits.distance  # rays have a depth of one
+        shown = photo.alone().reshape(-1, 3)[hits.rays]
+        received = at_hits(self.received, mesh.faces, hits.face, hits.weights)
+        own, like, matte = self._scattered(hits)
+        use = (shown.max(1) < _WHITE) & (matte > _LEAST_MATTE) & (received.min(1) > _DARK)
+        rows = hits.rays[use]
+        known = np.zeros(shape, np.float32)
+        known.reshape(-1)[rows] = 1
+        known *= _level(depth, self.near)
+        if not known.any():
+            return None
+        seen, own_, like_ = np.zeros((3, *shape, 3), np.float32)
+        seen.reshape(-1, 3)[rows] = linear_from_srgb(shown[use]) / received[use]
+        own_.reshape(-1, 3)[rows], like_.reshape(-1, 3)[rows] = own[use], like[use]
+        seen /= _gain(seen.mean(-1), own_.mean(-1), known)
+        pictures = (seen, own_, like_)
+        slow = [_slow(picture, known, _FINE) for picture in pictures]
+        there = known[..., None]
+        sharp, has, aim = ((p - below) * there for p, below in zip(pictures, slow, strict=True))
+        sharp = _moved(sharp, shifts(aim.mean(-1), sharp.mean(-1), known))
+        fine = np.clip((sharp - has) * there, -_STEEPEST, _STEEPEST)
+        apart = slow[0] - slow[1]
+        broad = np.asarray(apart - _slow(apart, known, _BROAD), np.float32)
+        good = np.asarray(cv2.erode(known, np.ones((3, 3), np.uint8)), np.float32)
+        return Sheet(camera, depth, np.asarray(fine, np.float32), broad, good)
+
+    def _scattered(self, hits: Hits) -> tuple[F32, F32, F32]:
+        """Matte colours (N, 3) of both assets, and the matte share (N,), at the nearest texels."""
+        mesh, size = self.textured.mesh, self.textured.size
+        uv = at_hits(mesh.uv, mesh.faces, hits.face, hits.weights)
+        column, row = np.clip((uv * size).astype(np.int64), 0, size - 1).T
+        matte = 1 - fractions(self.textured.metallic[row, column])
+        own, like = (
+            linear_from_srgb(fractions(one.base_color[row, column])) * matte[:, None]
+            for one in (self.textured, self.like)
+        )
+        return own, like, matte
+
+
+def shown(sheet: Sheet, points: F32, normals: F32, near: float) -> tuple[Ints, F32, F32]:
+    """Rows (M,) of the points that a photo shows, their pixels (M, 2), and how well it does.
+
+    The worth (M,) is the resolution along the direction in which the surface is foreshortened,
+    pixels for a world unit.
+    """
+    camera = sheet.camera
+    R, t = (camera.cam_from_world[:3, i].astype(np.float32) for i in (slice(3), 3))
+    K = camera.K.astype(np.float32)
+    away = camera.center.astype(np.float32) - points
+    height = np.einsum("nc,nc->n", normals, away)
+    rows = np.flatnonzero(height > 0)
+    x, y, z = R @ points[rows].T + t[:, None]
+    cosine = height[rows] / np.maximum(np.linalg.norm(away[rows], axis=1), 1e-9)
+    ahead = np.maximum(z, 1e-9)
+    u, v = x / ahead * K[0, 0] + K[0, 2], y / ahead * K[1, 1] + K[1, 2]
+    inside = (u > 1) & (v > 1) & (u < camera.width - 1) & (v < camera.height - 1)
+    use = np.flatnonzero(inside & (z > 0) & (cosine > _LEAST_COSINE))
+    rows, cosine, z = rows[use], cosine[use], z[use]
+    pixels = np.stack([u[use], v[use]], 1)
+    sampled = bilinear(np.stack([sheet.depth, sheet.good], -1), pixels)
+    slope = np.sqrt(1 / np.minimum(cosine, 1) ** 2 - 1)
+    allowed = near + slope * z / K[0, 0]
+    good = (np.abs(sampled[:, 0] - z) < allowed) & (sampled[:, 1] > 0.999)
+    return rows[good], pixels[good], (cosine * K[0, 0] / z)[good]
+
+
+def bilinear(values: F32, pixels: F32) -> F32:
+    """(N, C) values (H, W, C), C below 5, at pixel coordinates (N, 2), centres at + 0.5."""
+    count = len(pixels)
+    if not count:
+        return np.empty((0, values.shape[-1]), np.float32)
+    padded = np.zeros((-(-count // _ROW) * _ROW, 2), np.float32)
+    padded[:count] = pixels - 0.5
+    x, y = (np.ascontiguousarray(padded[:, i].reshape(-1, _ROW)) for i in range(2))
+    found = cv2.remap(values, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(found, np.float32).reshape(len(padded), -1)[:count]
+
+
+def _slow(values: F32, known: F32, sigma: float) -> F32:
+    """(H, W, 3) the mean of what is known around, sigma in pixels."""
+    height, width = known.shape
+    few = (max(1, width // _COARSE), max(1, height // _COARSE))
+    parts = (values * known[..., None], known)
+    total, share = (
+        cv2.GaussianBlur(
+            cv2.resize(part, few, interpolation=cv2.INTER_AREA), (0, 0), sigma / _COARSE
+        )
+        for part in parts
+    )
+    mean = total / np.maximum(share, 1e-3)[..., None]
+    return np.asarray(cv2.resize(mean, (width, height), interpolation=cv2.INTER_LINEAR), np.float32)
+
+
+def _gain(photo: F32, shown: F32, known: F32) -> float:
+    """How much stronger contrasts are in the photo than in what the asset shows, (H, W) each.
+
+    The light received is known but for a factor, and what a photo mirrors everywhere adds a
+    constant. The slope of a line through both takes no account of the constant.
+    """
+    share = np.maximum(cv2.GaussianBlur(known, (0, 0), _ALIKE), 1e-3)
+    soft = [cv2.GaussianBlur(v * known, (0, 0), _ALIKE) / share for v in (photo, shown)]
+    there = known > 0
+    one, other = (v[there] - v[there].mean() for v in soft)
+    spread = float((other * other).mean())
+    if spread < _PLAIN:
+        return 1.0
+    return float(np.clip((one * other).mean() / spread, 0.5, 2.0))
+
+
+def _moved(values: F32, flow: F32) -> F32:
+    """(H, W, 3) values looked up beside each pixel, at a shift (H, W, 2)."""
+    y, x = np.mgrid[0 : flow.shape[0], 0 : flow.shape[1]].astype(np.float32)
+    found = cv2.remap(values, x + flow[..., 0], y + flow[..., 1], cv2.INTER_CUBIC)
+    return np.asarray(found, np.float32)
+
+
+def _level(depth: F32, near: float) -> F32:
+    """(H, W) 1 where the mesh has no step in depth close by."""
+    kernel = np.ones((3, 3), np.uint8)
+    whole = cv2.erode((depth > 0).astype(np.uint8), kernel, borderValue=0)
+    bends = [np.abs(cv2.Sobel(depth, cv2.CV_32F, *d, ksize=1)) for d in ((2, 0), (0, 2))]
+    steps = cv2.dilate((np.maximum(*bends) > near).astype(np.uint8), kernel)
+    return np.asarray((whole > 0) & (steps == 0), np.float32)
