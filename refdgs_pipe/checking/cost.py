@@ -17,6 +17,8 @@ READ_MPX_S = 0.02  # to read a megapixel of a photo
 FEATURE_MPX_S, PAIR_S, PLACE_S = 1.0, 0.05, 0.5  # for a megapixel, a pair, a photo
 EXHAUSTIVE_UP_TO, PARTNERS = 150, 15  # photos; each photo's partners above
 SURFACE_S, TEXEL_S = 120.0, 15e-6  # mesh and materials; a texel of the textures
+# Fine detail: a megapixel of a photo, a texel for each photo; the side that is painted before
+DETAIL_MPX_S, DETAIL_TEXEL_S, PAINTED_SIDE = 1.2, 4e-7, 2048
 GATE_S, MASK_S = 8.0, 4.0  # to check the cameras; to find the object in a photo
 START_S = 30.0  # to find a first shape, without masks
 _SURFACE_SHARES = {
@@ -105,8 +107,18 @@ def works(size: Capture, settings: Settings) -> dict[str, float]:
         work["masks"] = count * MASK_S
     work |= _training(size, settings)
     work |= {stage: SURFACE_S * share for stage, share in _SURFACE_SHARES.items()}
-    work["bake"] += settings["bake"].size ** 2 * TEXEL_S
+    work["bake"] += _baking(size, settings)
     return work
+
+
+def _baking(size: Capture, settings: Settings) -> float:
+    """Core-seconds of the textures."""
+    side = settings["bake"].size
+    if not settings["bake"].detail:
+        return float(side**2 * TEXEL_S)
+    read = _pixels(size.shape, settings["ingest"].max_side, size.megapixels)
+    each = read * DETAIL_MPX_S + side**2 * DETAIL_TEXEL_S
+    return float(min(side, PAINTED_SIDE) ** 2 * TEXEL_S + size.photos * each)
 
 
 def _training(size: Capture, settings: Settings) -> dict[str, float]:

@@ -5,12 +5,13 @@ from pathlib import Path
 import finished
 import pytest
 
+from refdgs_pipe import recipe
 from refdgs_pipe.checking import cost
 from refdgs_pipe.checking.cost import Capture, seconds_of, works
 from refdgs_pipe.cli import forecast as module
 from refdgs_pipe.cli.forecast import REPORT, forecast
 from refdgs_pipe.cli.workspace import Memory, Workspace, open_workspace
-from refdgs_pipe.pipeline.catalog import STAGES
+from refdgs_pipe.pipeline.catalog import STAGES, load_stages
 from refdgs_pipe.pipeline.plan import Step
 
 
@@ -49,6 +50,22 @@ def test_two_cores_take_about_half_as_long(space: Workspace) -> None:
     one, two = (forecast(space, steps, STAGES[1:], cores=cores) for cores in (1, 2))
     assert one is not None and two is not None
     assert two.modelled["bake"] == pytest.approx(seconds_of(one.modelled["bake"], 2))
+
+
+def test_fine_detail_takes_longer_the_more_photos_there_are() -> None:
+    """The textures of the recipe detail are larger, and every photo is looked at again."""
+
+    models = {stage.name: stage.params for stage in load_stages()}
+
+    def bake(name: str, photos: int) -> float:
+        size = Capture(photos, 12.0, 0.75, is_known=False, has_masks=False)
+        return works(size, recipe.resolve(recipe.load(name), [], models))["bake"]
+
+    assert bake("glossy", 60) == bake("glossy", 20)
+    assert bake("detail", 60) - bake("detail", 20) == pytest.approx(
+        2 * (bake("detail", 40) - bake("detail", 20))
+    )
+    assert bake("detail", 20) > bake("glossy", 20)
 
 
 def test_an_idle_machine_is_not_called_busy(monkeypatch: pytest.MonkeyPatch) -> None:

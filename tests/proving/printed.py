@@ -4,7 +4,7 @@ Units are scene units of 15 cm, z is up. An object stands at `TABLE_Z`.
 """
 
 import numpy as np
-from objects import Objects, _turned
+from objects import TABLE_Z, Objects, _box, _turned
 from PIL import Image, ImageDraw, ImageFont
 from scenes import LIN, obj
 
@@ -91,4 +91,29 @@ def medicine() -> Objects:
         obj("body", _turned(body, 0.006), **white),
         obj("neck", _turned(neck, 0.006), **white),
         obj("cap", _turned(cap, 0.008), type="gloss", base=LIN("141414"), alpha=0.15),
+    ]
+
+
+def carton() -> Objects:
+    """A varnished carton with small print on every side, and a matte lid of cork beside it."""
+    width, height = 2000, 1800
+    sheet = Image.new("RGB", (width, height), "#efe9da")
+    draw = ImageDraw.Draw(sheet)
+    draw.rectangle((0, 0, width, 330), fill="#20503f")
+    draw.text((90, 90), "HERBAL TEA", font=ImageFont.load_default(170), fill="#f4e6b8")
+    top = 400.0
+    for points, words in zip((24, 12, 9, 8, 7, 6, 5), (*WORDS[3:], *WORDS[:4]), strict=True):
+        size = round(points * POINT * width)
+        draw.text((90, top), words, font=ImageFont.load_default(size), fill="#26201a")
+        top += 1.9 * size
+    for k in range(8):
+        draw.ellipse((120 + 220 * k, 1520, 280 + 220 * k, 1680), fill=("#b5492f", "#2f6f8f")[k % 2])
+    pixels = np.asarray(sheet, np.float64) / 255
+    linear = np.where(pixels <= 0.04045, pixels / 12.92, ((pixels + 0.055) / 1.055) ** 2.4)
+    box = _box((0.5, 0.3, 0.45), (0, 0, TABLE_Z + 0.45), 20)
+    lid = _turned([(1e-4, 0.0), (0.16, 0.0), (0.18, 0.02), (0.18, 0.1), (1e-4, 0.12)], 0.008)
+    lid["V"] = lid["V"] + np.array([0.62, -0.5, 0.0])
+    return [
+        obj("carton", box, type="glaze", base=linear[::-1], alpha=0.14),
+        obj("lid", lid, type="diffuse", base=LIN("b58a5a")),
     ]
