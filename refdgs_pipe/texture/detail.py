@@ -38,8 +38,9 @@ Ints = NDArray[np.int64]
 SIDE = 2048  # texels along a side, for which everything else is painted
 PASSES = 2  # over the photos: each is aligned with what the last pass found
 _BORDER = 16.0  # power of a photo's worth, by which the two best are mixed
-_SOFT = 1.5  # texels (sigma): photos may be misplaced by that much and still agree
-_AROUND = 8.0  # texels (sigma) over which photos are compared
+# Texels or pixels, whichever are larger (sigma): photos may be misplaced by that much and still
+# agree; and over so many they are compared
+_SOFT, _AROUND = 1.5, 8.0
 _DISAGREE, _AGREE = 0.1, 0.4  # coefficient: from nothing kept to everything kept
 _ROUNDS = 20  # of smoothing normals over neighbours
 _CHUNK = 1 << 18
@@ -79,12 +80,14 @@ class Detail:
         self._sum = np.zeros((count, 3), np.float32)
         self._broad = np.zeros((count, 3), np.float32)
         self._weight = np.zeros(count, np.float32)
+        self._pixel = 1.0  # texels
 
     def add(self, photo: Photo) -> int:
         """Take what a photo shows; gives how many texels it shows."""
         sheet = self._drawn.under(photo)
         if sheet is None:
             return 0
+        self._pixel = max(self._pixel, texels_of_pixel(self.textured, photo.camera))
         starts = range(0, len(self._points), _CHUNK)
         with ThreadPoolExecutor(self.threads) as pool:
             return sum(pool.map(lambda start: self._take(sheet, start), starts))
@@ -125,6 +128,7 @@ class Detail:
             self._picture(best.mean(1) * several),
             self._picture(others.mean(1) * several),
             self._picture(several.astype(np.float32)),
+            self._pixel,
         ).reshape(-1)[texels.index]
         best += self._broad / np.maximum(self._weight, 1e-9)[:, None]
         more = (kept * several)[:, None] * best
@@ -206,8 +210,8 @@ def _smooth_normals(mesh: UvMesh) -> F32:
     return np.asarray(normals[same], np.float32)
 
 
-def scale_for(textured: TexturedMesh, camera: Camera) -> float:
-    """The scale, at most 1, at which a pixel of the camera's photo is as large as a texel."""
+def texels_of_pixel(textured: TexturedMesh, camera: Camera) -> float:
+    """How many texels lie along the side of a camera's pixel, at the middle of the asset."""
     mesh = textured.mesh
     a, b, c = (mesh.uv[mesh.faces[:, i]].astype(np.float64) for i in range(3))
     flat = np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]).sum() / 2
@@ -216,19 +220,26 @@ def scale_for(textured: TexturedMesh, camera: Camera) -> float:
     texel = np.sqrt(area / max(flat, 1e-12)) / textured.size
     depth = camera.project(mesh.vertices.astype(np.float64))[1]
     pixel = float(np.median(depth)) / camera.K[0, 0]
-    return float(np.clip(pixel / max(texel, 1e-12), 0.05, 1.0))
+    return float(pixel / max(texel, 1e-12))
 
 
-def _agreed(best: F32, others: F32, known: F32) -> F32:
+def scale_for(textured: TexturedMesh, camera: Camera) -> float:
+    """The scale, at most 1, at which a pixel of the camera's photo is as large as a texel."""
+    return float(np.clip(texels_of_pixel(textured, camera), 0.05, 1.0))
+
+
+def _agreed(best: F32, others: F32, known: F32, pixel: float) -> F32:
     """(S, S) 0 to 1: how much of the best photo's detail the others show too.
 
     Args:
         best, others: (S, S) their detail, 0 where nothing is known; known: (S, S) 1 where it is.
+        pixel: texels along the side of a pixel, at least 1.
     """
-    share = np.maximum(cv2.GaussianBlur(known, (0, 0), _SOFT), 1e-3)
-    one, other = (cv2.GaussianBlur(v, (0, 0), _SOFT) / share * known for v in (best, others))
-    both = cv2.GaussianBlur(one * other, (0, 0), _AROUND)
-    own = cv2.GaussianBlur(one * one, (0, 0), _AROUND)
+    soft, around = _SOFT * pixel, _AROUND * pixel
+    share = np.maximum(cv2.GaussianBlur(known, (0, 0), soft), 1e-3)
+    one, other = (cv2.GaussianBlur(v, (0, 0), soft) / share * known for v in (best, others))
+    both = cv2.GaussianBlur(one * other, (0, 0), around)
+    own = cv2.GaussianBlur(one * one, (0, 0), around)
     coefficient = both / np.maximum(own, 1e-10)
     t = np.clip((coefficient - _DISAGREE) / (_AGREE - _DISAGREE), 0, 1)
     return np.asarray(t * t * (3 - 2 * t), np.float32)

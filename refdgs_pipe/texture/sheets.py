@@ -16,14 +16,15 @@ from refdgs_pipe.texture.aligning import shifts
 F32 = NDArray[np.float32]
 Ints = NDArray[np.int64]
 
-_FINE = 12.0  # pixels (sigma): what changes more slowly is the mean of all photos
-_BROAD = 48.0  # pixels (sigma): what changes still more slowly is that of the asset
+# Of the photo's longer side, as it is framed: what changes more slowly (sigma) is the mean of all
+# photos; what changes still more slowly is that of the asset
+_FINE, _BROAD = 0.008, 0.03
+_LEAST_FINE = 2.0  # pixels, whatever the size
 _COARSE = 4  # pixels for one of the pictures in which slow changes are found
 _LEAST_COSINE = 0.25
 _WHITE = 0.99  # sRGB: brighter pixels are clipped and tell nothing
 _LEAST_MATTE = 0.3  # share of non-metal, from which on a place has detail
 _DARK = 0.02  # of the light received: darker places tell nothing of the base colour
-_ALIKE = 4.0  # pixels (sigma): what is broader is alike in photo and asset
 _PLAIN = 1e-3  # variance of base colours that tells no factor
 _STEEPEST = 1.0  # linear: no detail is stronger
 _ROW = 1024  # cv2.remap refuses more than 32767 rows or columns
@@ -87,15 +88,16 @@ class Drawn:
         seen, own_, like_ = np.zeros((3, *shape, 3), np.float32)
         seen.reshape(-1, 3)[rows] = linear_from_srgb(shown[use]) / received[use]
         own_.reshape(-1, 3)[rows], like_.reshape(-1, 3)[rows] = own[use], like[use]
-        seen /= _gain(seen.mean(-1), own_.mean(-1), known)
+        sharpest, broadest = (max(share * max(shape), _LEAST_FINE) for share in (_FINE, _BROAD))
+        seen /= _gain(seen.mean(-1), own_.mean(-1), known, sharpest / 2, broadest)[..., None]
         pictures = (seen, own_, like_)
-        slow = [_slow(picture, known, _FINE) for picture in pictures]
+        slow = [_slow(picture, known, sharpest) for picture in pictures]
         there = known[..., None]
         sharp, has, aim = ((p - below) * there for p, below in zip(pictures, slow, strict=True))
         sharp = _moved(sharp, shifts(aim.mean(-1), sharp.mean(-1), known))
         fine = np.clip((sharp - has) * there, -_STEEPEST, _STEEPEST)
         apart = slow[0] - slow[1]
-        broad = np.asarray(apart - _slow(apart, known, _BROAD), np.float32)
+        broad = np.asarray(apart - _slow(apart, known, broadest), np.float32)
         good = np.asarray(cv2.erode(known, np.ones((3, 3), np.uint8)), np.float32)
         return Sheet(camera, depth, np.asarray(fine, np.float32), broad, good)
 
@@ -154,32 +156,39 @@ def bilinear(values: F32, pixels: F32) -> F32:
 def _slow(values: F32, known: F32, sigma: float) -> F32:
     """(H, W, 3) the mean of what is known around, sigma in pixels."""
     height, width = known.shape
-    few = (max(1, width // _COARSE), max(1, height // _COARSE))
+    step = _COARSE if sigma >= 2 * _COARSE else 1
+    few = (max(1, width // step), max(1, height // step))
     parts = (values * known[..., None], known)
     total, share = (
-        cv2.GaussianBlur(
-            cv2.resize(part, few, interpolation=cv2.INTER_AREA), (0, 0), sigma / _COARSE
-        )
+        cv2.GaussianBlur(cv2.resize(part, few, interpolation=cv2.INTER_AREA), (0, 0), sigma / step)
         for part in parts
     )
     mean = total / np.maximum(share, 1e-3)[..., None]
     return np.asarray(cv2.resize(mean, (width, height), interpolation=cv2.INTER_LINEAR), np.float32)
 
 
-def _gain(photo: F32, shown: F32, known: F32) -> float:
-    """How much stronger contrasts are in the photo than in what the asset shows, (H, W) each.
+def _gain(photo: F32, shown: F32, known: F32, sharp: float, broad: float) -> F32:
+    """(H, W) how much stronger contrasts are in the photo than in what the asset shows.
 
-    The light received is known but for a factor, and what a photo mirrors everywhere adds a
-    constant. The slope of a line through both takes no account of the constant.
+    The light received is known but for a factor, and what a photo mirrors adds a slow change. The
+    slope of a line through both, over the pixels around, takes no account of the latter. Where the
+    asset is plain, the slope over the whole photo counts.
+
+    Args:
+        photo, shown, known: (H, W).
+        sharp, broad: pixels (sigma); what is broader than `sharp` is alike in both.
     """
-    share = np.maximum(cv2.GaussianBlur(known, (0, 0), _ALIKE), 1e-3)
-    soft = [cv2.GaussianBlur(v * known, (0, 0), _ALIKE) / share for v in (photo, shown)]
+    share = np.maximum(cv2.GaussianBlur(known, (0, 0), sharp), 1e-3)
+    one, other = (cv2.GaussianBlur(v * known, (0, 0), sharp) / share for v in (photo, shown))
+    means = _slow(np.stack([one, other, one * other], -1), known, broad)
+    squares = _slow(np.repeat((other * other)[..., None], 3, -1), known, broad)[..., 0]
+    along = means[..., 2] - means[..., 0] * means[..., 1]
+    spread = np.maximum(squares - means[..., 1] ** 2, 0)
     there = known > 0
-    one, other = (v[there] - v[there].mean() for v in soft)
-    spread = float((other * other).mean())
-    if spread < _PLAIN:
-        return 1.0
-    return float(np.clip((one * other).mean() / spread, 0.5, 2.0))
+    whole = float(along[there].sum() / max(float(spread[there].sum()), _PLAIN))
+    usual = np.clip(whole, 0.5, 2.0) if spread[there].mean() > _PLAIN else 1.0
+    slope = (along + _PLAIN * usual) / (spread + _PLAIN)
+    return np.asarray(np.clip(slope, 0.5, 2.0), np.float32)
 
 
 def _moved(values: F32, flow: F32) -> F32:
