@@ -164,12 +164,16 @@ def detailed(
     """
     mesh = textured.mesh
     received = looks.received[nearest(looks.points, mesh.vertices)]
-    found = textured
-    for _ in range(PASSES):
-        detail = Detail(textured, received, near=near, threads=threads, like=found)
+
+    def one_pass(like: TexturedMesh) -> TexturedMesh:
+        detail = Detail(textured, received, near=near, threads=threads, like=like)
         for photo in photos():
             detail.add(photo)
-        found = detail.added()
+        return detail.added()
+
+    found = textured
+    for _ in range(PASSES):
+        found = one_pass(found)
     return found
 
 
