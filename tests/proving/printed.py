@@ -95,7 +95,7 @@ def medicine() -> Objects:
 
 
 def carton() -> Objects:
-    """A varnished carton with small print on every side, and a matte lid of cork beside it."""
+    """A varnished carton with small, mirrored print on every side, and a matte lid beside it."""
     width, height = 2000, 1800
     sheet = Image.new("RGB", (width, height), "#efe9da")
     draw = ImageDraw.Draw(sheet)
