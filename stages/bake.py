@@ -1,6 +1,7 @@
 """Paint the mesh from the field: colour, roughness, metal and normals."""
 
 from collections.abc import Iterator
+from itertools import islice
 
 from refdgs_pipe.artifacts.appearance import Appearance
 from refdgs_pipe.artifacts.masks import Masks
@@ -10,7 +11,7 @@ from refdgs_pipe.artifacts.surfel_field import SurfelField
 from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.pipeline.stage import Job, stage
-from refdgs_pipe.texture.settings import BakeParams
+from refdgs_pipe.texture.settings import PAINTED_SIDE, BakeParams
 
 
 @stage(version=11, programs=("open3d-cpu", "scipy"), by_device=True)
@@ -26,14 +27,14 @@ def bake(
 ) -> TexturedMesh:
     """Gather what all cameras see of every texel, free of reflections; then look at the photos."""
     from refdgs_pipe.artifacts.photos import Photo, load_photo
-    from refdgs_pipe.texture.detail import SIDE, detailed, enlarged, scale_for
+    from refdgs_pipe.texture.detail import PASSES, detailed, scale_for
     from refdgs_pipe.texture.material import Painter
     from refdgs_pipe.texture.refining import refined
     from refdgs_pipe.training.render import render_surface_map
 
     model = model.placed(field.poses, field.ball)
     tolerance = params.tolerance * 2 * model.ball.radius
-    size = min(params.size, SIDE) if params.detail else params.size
+    size = min(params.size, PAINTED_SIDE) if params.detail else params.size
     painter = Painter(mesh, size, tolerance=tolerance)
     for camera in job.track(model.cameras, "gathering texels"):
         painter.add(render_surface_map(field, camera, device=job.device, threads=job.threads))
@@ -49,11 +50,11 @@ def bake(
         textured = refined(textured, looks, photos, near=tolerance, count=len(cameras))
     if not params.detail:
         return textured
-    whole = enlarged(textured, params.size)
-    ball = model.ball.center, model.ball.radius
+    rounds = job.track([*cameras] * PASSES, "taking detail from photos")
 
     def sharp() -> Iterator[Photo]:
-        for camera in job.track(cameras, "taking detail from photos"):
-            yield load_photo(views, model, camera, scale=scale_for(whole, camera)).framed(*ball)
+        for camera in islice(rounds, len(cameras)):
+            photo = load_photo(views, model, camera, scale=scale_for(mesh, params.size, camera))
+            yield photo.framed(model.ball.center, model.ball.radius)
 
-    return detailed(whole, looks, sharp, near=tolerance, threads=job.threads)
+    return detailed(textured, looks, sharp, size=params.size, near=tolerance, threads=job.threads)

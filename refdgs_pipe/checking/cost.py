@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 from refdgs_pipe.checking.look import Look
+from refdgs_pipe.texture.settings import PAINTED_SIDE
 
 STEP_S, STEP_MPX_S = 0.1, 0.5  # of a step of training: whatever its size, and for each megapixel
 SURFELS = 60_000  # that this is for; a step's time goes with their number
@@ -17,8 +18,7 @@ READ_MPX_S = 0.02  # to read a megapixel of a photo
 FEATURE_MPX_S, PAIR_S, PLACE_S = 1.0, 0.05, 0.5  # for a megapixel, a pair, a photo
 EXHAUSTIVE_UP_TO, PARTNERS = 150, 15  # photos; each photo's partners above
 SURFACE_S, TEXEL_S = 120.0, 15e-6  # mesh and materials; a texel of the textures
-# Fine detail: a megapixel of a photo, a texel for each photo; the side that is painted before
-DETAIL_MPX_S, DETAIL_TEXEL_S, PAINTED_SIDE = 1.2, 4e-7, 2048
+DETAIL_MPX_S, DETAIL_TEXEL_S = 1.2, 4e-7  # fine detail: a megapixel, and a texel, for each photo
 GATE_S, MASK_S = 8.0, 4.0  # to check the cameras; to find the object in a photo
 START_S = 30.0  # to find a first shape, without masks
 _SURFACE_SHARES = {

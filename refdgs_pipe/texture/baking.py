@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from refdgs_pipe.artifacts.surface_map import SurfaceMap
 from refdgs_pipe.errors import MeshError
 from refdgs_pipe.geometry import without_jumps
+from refdgs_pipe.texture.points import SurfacePoints, bilinear
 
 F32 = NDArray[np.float32]
 Ints = NDArray[np.int64]
@@ -23,7 +24,6 @@ _NORMAL_SPREAD = 0.05
 # deviation in pixels (1/6 and 1/12 are their mean squares).
 _LOST = 0.5
 _CHUNK = 1 << 18
-_ROW = 1024  # cv2.remap refuses more than 32767 rows or columns
 
 
 @dataclass(frozen=True)
@@ -53,9 +53,8 @@ class Gather:
     """
 
     def __init__(self, points: F32, normals: F32, *, tolerance: float, keep: int = 6) -> None:
-        self.points, self.normals, self.tolerance = points, normals, tolerance
+        self._points, self._tolerance = SurfacePoints(points, normals), tolerance
         count = len(points)
-        self._offset = np.einsum("nc,nc->n", points, normals)
         self._weights = np.zeros((count, keep), np.float32)
         self._samples = np.zeros((count, keep, _CHANNELS), np.float16)
         self._total = np.zeros(count, np.float32)
@@ -66,7 +65,7 @@ class Gather:
         if not len(rows):
             return 0
         values = np.concatenate([_sharpened(view.diffuse), view.normal], -1)
-        samples = _bilinear(values, pixels)
+        samples = bilinear(values, pixels)
         self._total[rows] += weights
         worst = self._weights[rows].argmin(1)
         better = weights > self._weights[rows, worst]
@@ -81,7 +80,8 @@ class Gather:
         Raises:
             MeshError: no view saw any point.
         """
-        count = len(self.points)
+        points, normals = self._points.points, self._points.normals
+        count = len(points)
         seen = self._total > 0
         if not seen.any():
             raise MeshError(
@@ -93,9 +93,9 @@ class Gather:
             part = slice(start, start + _CHUNK)
             values[part], spread[part] = _combined(self._samples[part], self._weights[part])
         if not seen.all():
-            values[~seen, :3] = _from_nearest(self.points, values[:, :3], seen)
+            values[~seen, :3] = _from_nearest(points, values[:, :3], seen)
         doubt = (spread[:, 1:] / _NORMAL_SPREAD) ** 2
-        normal = np.where(seen[:, None], values[:, 3:] + doubt * self.normals, self.normals)
+        normal = np.where(seen[:, None], values[:, 3:] + doubt * normals, normals)
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-6)
         confidence = (1 - np.exp(-self._total / 0.7)) / (1 + (spread[:, 0] / 0.1) ** 2)
         return Surface(
@@ -107,29 +107,16 @@ class Gather:
 
     def _visible(self, view: SurfaceMap) -> tuple[Ints, F32, F32]:
         """Rows of the points that a view sees, their pixel coordinates, and how well it does."""
-        camera = view.camera
-        R, t = (camera.cam_from_world[:3, i].astype(np.float32) for i in (slice(3), 3))
-        # Whole rows of three are slow to reduce; half of the points go by what one product tells.
-        height = self.normals @ camera.center.astype(np.float32) - self._offset
-        rows = np.flatnonzero((height > 0) & (self.points @ R[2] + t[2] > 0))
-        x, y, z = R @ self.points[rows].T + t[:, None]
-        cosine = np.minimum(height[rows] / np.sqrt(x * x + y * y + z * z), 1)  # rounding
-        K = camera.K.astype(np.float32)
-        u, v = x / z * K[0, 0] + K[0, 2], y / z * K[1, 1] + K[1, 2]
-        inside = (u > 0.5) & (v > 0.5) & (u < camera.width - 0.5) & (v < camera.height - 0.5)
-        good = np.flatnonzero(inside & (cosine > _MIN_COSINE))
-        rows, cosine, z = rows[good], cosine[good], z[good]
-        pixels = np.stack([u[good], v[good]], 1)
-        solid = without_jumps(view.depth, view.normal, camera, self.tolerance)
+        solid = without_jumps(view.depth, view.normal, view.camera, self._tolerance)
         solid &= view.alpha >= _MIN_ALPHA
-        sampled = _bilinear(
-            np.stack([view.depth, view.alpha, solid.astype(np.float32)], -1), pixels
+        found = self._points.shown(
+            view.camera,
+            np.stack([view.depth, solid.astype(np.float32), view.alpha], -1),
+            tolerance=self._tolerance,
+            least_cosine=_MIN_COSINE,
         )
-        slope = np.sqrt(1 / cosine**2 - 1)
-        allowed = self.tolerance + slope * z / float(K[0, 0])
-        good = (np.abs(sampled[:, 0] - z) < allowed) & (sampled[:, 2] > 0.999)
-        weights = (cosine**2 * sampled[:, 1])[good]
-        return rows[good], pixels[good], weights.astype(np.float32)
+        weights = found.cosine**2 * found.layers[:, 2]
+        return found.rows, found.pixels, weights.astype(np.float32)
 
 
 def _sharpened(picture: F32) -> F32:
@@ -138,24 +125,6 @@ def _sharpened(picture: F32) -> F32:
 
     soft = np.asarray(cv2.GaussianBlur(picture, (0, 0), _LOST), np.float32)
     return np.asarray(np.maximum(2 * picture - soft, 0), np.float32)
-
-
-def _bilinear(values: F32, pixels: F32) -> F32:
-    """(N, C) values (H, W, C) at pixel coordinates (N, 2), centres at + 0.5."""
-    import cv2
-
-    count = len(pixels)
-    if not count:
-        return np.empty((0, values.shape[-1]), np.float32)
-    padded = np.zeros((-(-count // _ROW) * _ROW, 2), np.float32)
-    padded[:count] = pixels - 0.5
-    x, y = (np.ascontiguousarray(padded[:, i].reshape(-1, _ROW)) for i in range(2))
-    parts = []
-    for start in range(0, values.shape[-1], 4):
-        part = np.ascontiguousarray(values[..., start : start + 4], np.float32)
-        found = cv2.remap(part, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        parts.append(np.asarray(found).reshape(len(padded), -1)[:count])
-    return np.concatenate(parts, 1)
 
 
 def _combined(samples: NDArray[np.float16], weights: F32) -> tuple[F32, F32]:

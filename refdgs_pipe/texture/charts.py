@@ -169,7 +169,7 @@ def unmirrored(corners: F32) -> F32:
 
     v grows downwards, so a face that is counter-clockwise outside must have negative area here.
     """
-    if _signed_areas(corners).sum() > 0:
+    if signed_areas(corners).sum() > 0:
         corners = np.stack([corners[..., 0], 1 - corners[..., 1]], -1)
     return np.clip(corners, 0, 1)
 
@@ -194,7 +194,7 @@ def measure(method: str, mesh: TriangleMesh, corners: F32) -> Layout:
     """The figures of an atlas given by its corners (F, 3, 2)."""
     from refdgs_pipe.texture.texels import coverage
 
-    signed = _signed_areas(corners)
+    signed = signed_areas(corners)
     covered = coverage(corners, _CHECK_SIZE)
     split = seam_split(mesh, corners)
     return Layout(
@@ -221,7 +221,8 @@ def _require_usable(corners: F32, layout: Layout) -> None:
             raise MeshError(text())
 
 
-def _signed_areas(corners: F32) -> F64:
+def signed_areas(corners: F32) -> F64:
+    """(F,) areas of triangles (F, 3, 2) in the atlas; negative if they are clockwise there."""
     a, b, c = (corners[:, i].astype(np.float64) for i in range(3))
     u, v = b - a, c - a
     return np.asarray((u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]) / 2)
@@ -232,7 +233,7 @@ def _stretch(mesh: TriangleMesh, corners: F32) -> float:
     a, b, c = (mesh.vertices[mesh.faces[:, i]].astype(np.float64) for i in range(3))
     s, t, w = (corners[:, i].astype(np.float64) for i in range(3))
     area3 = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
-    area2 = _signed_areas(corners)
+    area2 = signed_areas(corners)
     sound = np.abs(area2) > 1e-14
     twice = np.where(sound, 2 * area2, 1)[:, None]
     along_u = (a * (t - w)[:, 1:] + b * (w - s)[:, 1:] + c * (s - t)[:, 1:]) / twice

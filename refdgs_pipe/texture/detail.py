@@ -27,16 +27,18 @@ from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.color import fractions, linear_from_srgb, srgb_from_linear
 from refdgs_pipe.ray_casting import Solid
+from refdgs_pipe.texture.charts import signed_areas
 from refdgs_pipe.texture.material import nearest
-from refdgs_pipe.texture.sheets import Drawn, Sheet, bilinear, shown
+from refdgs_pipe.texture.photo_detail import Comparison, PhotoDetail
+from refdgs_pipe.texture.points import SurfacePoints, bilinear
 from refdgs_pipe.texture.texels import rasterize
 from refdgs_pipe.vectors import unit
 
 F32 = NDArray[np.float32]
 Ints = NDArray[np.int64]
 
-SIDE = 2048  # texels along a side, for which everything else is painted
 PASSES = 2  # over the photos: each is aligned with what the last pass found
+_LEAST_COSINE = 0.25  # to the eye
 _BORDER = 16.0  # power of a photo's worth, by which the two best are mixed
 # Texels or pixels, whichever are larger (sigma): photos may be misplaced by that much and still
 # agree; and over so many they are compared
@@ -54,7 +56,7 @@ class Detail:
         received: (V, 3) linear radiance of a white matte surface at the mesh's vertices.
         near: how far the depth of a texel may differ from that of its pixel, world units.
         threads: that work; the result does not depend on it.
-        like: the asset with which photos are aligned, the same mesh; None: `textured`.
+        aligned_with: the same with the base colours that photos are aligned with; None: `textured`.
     """
 
     def __init__(
@@ -64,17 +66,18 @@ class Detail:
         *,
         near: float,
         threads: int = 1,
-        like: TexturedMesh | None = None,
+        aligned_with: TexturedMesh | None = None,
     ) -> None:
         self.textured, self.near, self.threads = textured, near, max(1, threads)
         mesh = textured.mesh
         solid = Solid(mesh.vertices, mesh.faces)
-        self._drawn = Drawn(solid, received, textured, like or textured, near)
+        self._compared = Comparison(solid, received, textured, aligned_with or textured, near)
         self._texels = rasterize(mesh, textured.size)
-        self._points = self._texels.interpolate(mesh, mesh.vertices)
-        normals = self._texels.interpolate(mesh, _smooth_normals(mesh))
-        self._normals = unit(normals)
-        count = len(self._points)
+        self._points = SurfacePoints(
+            self._texels.interpolate(mesh, mesh.vertices),
+            unit(self._texels.interpolate(mesh, _smooth_normals(mesh))),
+        )
+        count = len(self._texels.index)
         self._worth = np.zeros((count, 2), np.float32)  # of the best and of the second best photo
         self._best = np.zeros((count, 2, 3), np.float16)
         self._sum = np.zeros((count, 3), np.float32)
@@ -84,24 +87,36 @@ class Detail:
 
     def add(self, photo: Photo) -> int:
         """Take what a photo shows; gives how many texels it shows."""
-        sheet = self._drawn.under(photo)
-        if sheet is None:
+        detail = self._compared.detail_of(photo)
+        if detail is None:
             return 0
-        self._pixel = max(self._pixel, texels_of_pixel(self.textured, photo.camera))
-        starts = range(0, len(self._points), _CHUNK)
+        self._pixel = max(
+            self._pixel, texels_of_pixel(self.textured.mesh, self.textured.size, photo.camera)
+        )
+        starts = range(0, len(self._texels.index), _CHUNK)
         with ThreadPoolExecutor(self.threads) as pool:
-            return sum(pool.map(lambda start: self._take(sheet, start), starts))
+            return sum(pool.map(lambda start: self._take(detail, start), starts))
 
-    def _take(self, sheet: Sheet, start: int) -> int:
-        """Take what a photo shows of the texels from `start` on."""
-        part = slice(start, start + _CHUNK)
-        rows, pixels, worth = shown(sheet, self._points[part], self._normals[part], self.near)
-        if not len(rows):
+    def _take(self, detail: PhotoDetail, start: int) -> int:
+        """Take what a photo shows of the texels from `start` on.
+
+        A photo is worth its resolution along the direction in which the surface is foreshortened,
+        pixels for a world unit.
+        """
+        shown = self._points.shown(
+            detail.camera,
+            np.stack([detail.depth, detail.good], -1),
+            tolerance=self.near,
+            least_cosine=_LEAST_COSINE,
+            part=slice(start, start + _CHUNK),
+        )
+        if not len(shown.rows):
             return 0
-        found = bilinear(sheet.fine, pixels)
-        rows = rows + start
+        rows = shown.rows + start
+        worth = shown.cosine * np.float32(detail.camera.K[0, 0]) / shown.depth
+        found = bilinear(detail.fine, shown.pixels)
         self._sum[rows] += worth[:, None] * found
-        self._broad[rows] += worth[:, None] * bilinear(sheet.broad, pixels)
+        self._broad[rows] += worth[:, None] * bilinear(detail.broad, shown.pixels)
         self._weight[rows] += worth
         first = worth > self._worth[rows, 0]
         second = ~first & (worth > self._worth[rows, 1])
@@ -151,6 +166,7 @@ def detailed(
     looks: Appearance,
     photos: Callable[[], Iterable[Photo]],
     *,
+    size: int,
     near: float,
     threads: int = 1,
 ) -> TexturedMesh:
@@ -159,26 +175,29 @@ def detailed(
     Args:
         looks: the light that its vertices receive.
         photos: gives them, once for each of the passes.
+        size: texels along a side of the result; smaller textures are enlarged.
         near: how far the depth of a texel may differ from that of its pixel, world units.
         threads: that work; the result does not depend on it.
     """
-    mesh = textured.mesh
+    mesh, whole = textured.mesh, enlarged(textured, size)
     received = looks.received[nearest(looks.points, mesh.vertices)]
 
     def one_pass(like: TexturedMesh) -> TexturedMesh:
-        detail = Detail(textured, received, near=near, threads=threads, like=like)
+        detail = Detail(whole, received, near=near, threads=threads, aligned_with=like)
         for photo in photos():
             detail.add(photo)
         return detail.added()
 
-    found = textured
+    found = whole
     for _ in range(PASSES):
         found = one_pass(found)
     return found
 
 
 def enlarged(textured: TexturedMesh, size: int) -> TexturedMesh:
-    """The same with larger textures, interpolated."""
+    """The same with textures of (size, size) texels, interpolated."""
+    if size == textured.size:
+        return textured
 
     def larger(texture: NDArray[np.uint16]) -> NDArray[np.uint16]:
         found = cv2.resize(texture, (size, size), interpolation=cv2.INTER_LINEAR)
@@ -201,35 +220,38 @@ def _smooth_normals(mesh: UvMesh) -> F32:
     _, same = np.unique(mesh.vertices, axis=0, return_inverse=True)
     same = same.reshape(-1)
     count = int(same.max()) + 1
-    ends = same[
-        np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
-    ]
-    ends = np.concatenate([ends, ends[:, ::-1]])
+    edges = np.stack([mesh.faces, np.roll(mesh.faces, -1, axis=1)], -1).reshape(-1, 2)
+    ends = same[np.concatenate([edges, edges[:, ::-1]])]
     beside = csr_array((np.ones(len(ends), np.float32), ends.T), shape=(count, count))
     normals = np.zeros((count, 3), np.float32)
     np.add.at(normals, same, mesh.normals)
     for _ in range(_ROUNDS):
-        normals = normals + beside @ normals
-        normals = unit(normals)
+        normals = unit(normals + beside @ normals)
     return np.asarray(normals[same], np.float32)
 
 
-def texels_of_pixel(textured: TexturedMesh, camera: Camera) -> float:
-    """How many texels lie along the side of a camera's pixel, at the middle of the asset."""
-    mesh = textured.mesh
-    a, b, c = (mesh.uv[mesh.faces[:, i]].astype(np.float64) for i in range(3))
-    flat = np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]).sum() / 2
+def texels_of_pixel(mesh: UvMesh, size: int, camera: Camera) -> float:
+    """How many texels lie along the side of a camera's pixel, at the middle of the mesh.
+
+    Args:
+        size: texels along a side of the atlas.
+    """
+    flat = np.abs(signed_areas(mesh.uv[mesh.faces])).sum()
     a, b, c = (mesh.vertices[mesh.faces[:, i]].astype(np.float64) for i in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
-    texel = np.sqrt(area / max(flat, 1e-12)) / textured.size
+    texel = np.sqrt(area / max(flat, 1e-12)) / size
     depth = camera.project(mesh.vertices.astype(np.float64))[1]
     pixel = float(np.median(depth)) / camera.K[0, 0]
     return float(pixel / max(texel, 1e-12))
 
 
-def scale_for(textured: TexturedMesh, camera: Camera) -> float:
-    """The scale, at most 1, at which a pixel of the camera's photo is as large as a texel."""
-    return float(np.clip(texels_of_pixel(textured, camera), 0.05, 1.0))
+def scale_for(mesh: UvMesh, size: int, camera: Camera) -> float:
+    """The scale, at most 1, at which a pixel of the camera's photo is as large as a texel.
+
+    Args:
+        size: texels along a side of the atlas.
+    """
+    return float(np.clip(texels_of_pixel(mesh, size, camera), 0.05, 1.0))
 
 
 def _agreed(best: F32, others: F32, known: F32, pixel: float) -> F32:

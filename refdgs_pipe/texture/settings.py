@@ -6,6 +6,8 @@ from pydantic import Field
 
 from refdgs_pipe.params import Params, PowerOfTwo
 
+PAINTED_SIDE = 2048  # texels along a side: before fine detail, larger textures are not painted
+
 
 class AppearanceParams(Params):
     """The fit of materials and light to what the field shows."""

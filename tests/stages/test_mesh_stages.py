@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
@@ -18,9 +19,11 @@ from refdgs_pipe.artifacts.mesh import Mesh, RawMesh, UvMesh
 from refdgs_pipe.artifacts.sparse_model import Ball, SparseModel
 from refdgs_pipe.artifacts.surface_map import SurfaceMap
 from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
-from refdgs_pipe.artifacts.views import Views
+from refdgs_pipe.artifacts.views import Exif, View, Views
+from refdgs_pipe.camera import Lens
 from refdgs_pipe.color import linear_from_srgb
 from refdgs_pipe.errors import MeshError
+from refdgs_pipe.files.images import write_png
 from refdgs_pipe.texture.texels import rasterize
 
 
@@ -152,6 +155,59 @@ def test_texture_sizes_are_powers_of_two(run: Run) -> None:
     params = import_module("refdgs_pipe.stages.bake").BakeParams
     with pytest.raises(ValueError, match="a power of two, such as 512 or 1024"):
         params(size=1000)
+
+
+@pytest.mark.parametrize("lit", [True, False])
+def test_noise_in_photos_is_no_detail(
+    run: Run, monkeypatch: pytest.MonkeyPatch, *, lit: bool
+) -> None:
+    """Larger textures are enlarged, and photos of noise add next to nothing to them."""
+    scene = glossy_pair()
+    show(monkeypatch, scene.surface_map)
+    model = model_of(orbit(8), Ball(np.zeros(3), 1.2))
+    lenses = {camera.name: Lens(camera.K, np.zeros(8)) for camera in model.cameras}
+    model = replace(model, lenses=lenses)
+    raw = run("extract", FIELD, model, voxel=0.02)
+    mesh = run("fit", run("clean", raw, FIELD, model, faces=2000), FIELD, model)
+    looks = finished.appearance(mesh.vertices)
+    looks = looks if lit else replace(looks, environment=None)
+    atlas = run("unwrap", mesh)
+    monkeypatch.setattr(import_module("refdgs_pipe.stages.bake"), "PAINTED_SIDE", 128)
+    given = (atlas, looks, FIELD, model, noise(run.folder, model), NO_MASKS)
+    textures = [
+        run("bake", *given, size=256, refine=False, detail=detail) for detail in (False, True)
+    ]
+    assert [one.size for one in textures] == [256, 256]
+    plain, found = (one.base_color.astype(float) / 65535 for one in textures)
+    assert np.abs(plain - found).mean() < 0.03
+
+
+def noise(folder: Path, model: SparseModel) -> Views:
+    """A photo of noise for each camera."""
+    random = np.random.default_rng(0)
+    (folder / "noise").mkdir()
+    items = []
+    for camera in model.cameras:
+        size = (camera.width, camera.height)
+        write_png(
+            folder / f"noise/{camera.name}.png",
+            random.integers(0, 255, (*size[::-1], 3)).astype(np.uint8),
+        )
+        items.append(
+            View(
+                camera.name,
+                f"noise/{camera.name}.png",
+                *size,
+                None,
+                "train",
+                Exif(),
+                500.0,
+                0.3,
+                None,
+                camera.name,
+            )
+        )
+    return Views(folder, tuple(items), "srgb", "photo", ())
 
 
 @pytest.mark.slow

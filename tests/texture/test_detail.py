@@ -80,10 +80,9 @@ def test_print_that_all_photos_show_gets_into_the_colours(found: TexturedMesh) -
     assert apart(found, true).mean() < 0.5 * apart(plain, true).mean()
 
 
-def test_what_one_photo_shows_alone_does_not(shots: list[Photo]) -> None:
+def test_what_one_photo_shows_alone_does_not() -> None:
     """A reflection of stripes in the photo that sees a side best."""
     plain = asset(print_=0.0)
-    same = photos(plain)
     wave = np.sign(np.sin(np.arange(SIDE) * 2 * np.pi / 7))[None, :, None]
     stripes = (0.9 + 0.1 * wave).astype(np.float32)
     same = photos(plain)
@@ -103,7 +102,7 @@ def test_the_number_of_threads_changes_nothing(shots: list[Photo], found: Textur
 
 
 def test_photos_are_read_as_large_as_texels_need() -> None:
-    ball, camera = asset(print_=0.0), CAMERAS[0]
-    assert scale_for(ball, camera) == 1
-    finer, finest = (scale_for(ball, camera.resized(k * SIDE, k * SIDE)) for k in (4, 8))
+    mesh, camera = asset(print_=0.0).mesh, CAMERAS[0]
+    assert scale_for(mesh, SIZE, camera) == 1
+    finer, finest = (scale_for(mesh, SIZE, camera.resized(k * SIDE, k * SIDE)) for k in (4, 8))
     assert finest == pytest.approx(finer / 2) and finer < 1

@@ -14,32 +14,29 @@ from refdgs_pipe.ray_casting import Hits, Solid, at_hits
 from refdgs_pipe.texture.aligning import shifts
 
 F32 = NDArray[np.float32]
-Ints = NDArray[np.int64]
 
 # Of the photo's longer side, as it is framed: what changes more slowly (sigma) is the mean of all
 # photos; what changes still more slowly is that of the asset
 _FINE, _BROAD = 0.008, 0.03
 _LEAST_FINE = 2.0  # pixels, whatever the size
 _COARSE = 4  # pixels for one of the pictures in which slow changes are found
-_LEAST_COSINE = 0.25
 _WHITE = 0.99  # sRGB: brighter pixels are clipped and tell nothing
 _LEAST_MATTE = 0.3  # share of non-metal, from which on a place has detail
 _DARK = 0.02  # of the light received: darker places tell nothing of the base colour
 _PLAIN = 1e-3  # variance of base colours that tells no factor
 _STEEPEST = 1.0  # linear: no detail is stronger
-_ROW = 1024  # cv2.remap refuses more than 32767 rows or columns
 
 
 @dataclass(frozen=True, eq=False)
-class Sheet:
-    """One photo's detail, and where it shows the surface.
+class PhotoDetail:
+    """What one photo shows of the matte colour and the asset lacks, and where.
 
     Args:
         camera: of these pixels.
-        depth: (H, W) of the mesh along the camera's axis; 0 where there is none.
-        fine: (H, W, 3) linear base colour that the asset lacks, without slow changes.
-        broad: (H, W, 3) the same of slower changes, without very slow ones.
-        good: (H, W) 1 where both can be used.
+        depth: (H, W) of the mesh along the camera's axis, world units; 0 where there is none.
+        fine: (H, W, 3) linear, without slow changes.
+        broad: (H, W, 3) linear, slower changes, without very slow ones.
+        good: (H, W) 1 where both can be used, else 0.
     """
 
     camera: Camera
@@ -50,22 +47,24 @@ class Sheet:
 
 
 @dataclass(frozen=True, eq=False)
-class Drawn:
-    """An asset that photos are compared with.
+class Comparison:
+    """Of photos with an asset.
 
     Args:
-        solid: its mesh; received: (V, 3) linear radiance of a white matte surface at its vertices.
-        textured: it; like: the same with base colours that photos are aligned with.
-        near: steps in depth that are larger part two surfaces, world units.
+        solid: the asset's mesh.
+        received: (V, 3) linear radiance of a white matte surface at the mesh's vertices.
+        textured: the asset.
+        aligned_with: the same with the base colours that photos are aligned with.
+        near: larger steps in depth separate two surfaces, world units.
     """
 
     solid: Solid
     received: F32
     textured: TexturedMesh
-    like: TexturedMesh
+    aligned_with: TexturedMesh
     near: float
 
-    def under(self, photo: Photo) -> Sheet | None:
+    def detail_of(self, photo: Photo) -> PhotoDetail | None:
         """What a photo adds; None if it shows nothing of the asset that is matte."""
         camera, mesh = photo.camera, self.textured.mesh
         rays = (camera.pixel_rays() @ camera.cam_from_world[:3, :3]).reshape(-1, 3)
@@ -77,7 +76,7 @@ class Drawn:
         depth.reshape(-1)[hits.rays] = hits.distance  # rays have a depth of one
         shown = photo.alone().reshape(-1, 3)[hits.rays]
         received = at_hits(self.received, mesh.faces, hits.face, hits.weights)
-        own, like, matte = self._scattered(hits)
+        own, aim, matte = self._matte(hits)
         use = (shown.max(1) < _WHITE) & (matte > _LEAST_MATTE) & (received.min(1) > _DARK)
         rows = hits.rays[use]
         known = np.zeros(shape, np.float32)
@@ -85,72 +84,34 @@ class Drawn:
         known *= _level(depth, self.near)
         if not known.any():
             return None
-        seen, own_, like_ = np.zeros((3, *shape, 3), np.float32)
-        seen.reshape(-1, 3)[rows] = linear_from_srgb(shown[use]) / received[use]
-        own_.reshape(-1, 3)[rows], like_.reshape(-1, 3)[rows] = own[use], like[use]
-        sharpest, broadest = (max(share * max(shape), _LEAST_FINE) for share in (_FINE, _BROAD))
-        seen /= _gain(seen.mean(-1), own_.mean(-1), known, sharpest / 2, broadest)[..., None]
-        pictures = (seen, own_, like_)
-        slow = [_slow(picture, known, sharpest) for picture in pictures]
-        there = known[..., None]
-        sharp, has, aim = ((p - below) * there for p, below in zip(pictures, slow, strict=True))
-        sharp = _moved(sharp, shifts(aim.mean(-1), sharp.mean(-1), known))
-        fine = np.clip((sharp - has) * there, -_STEEPEST, _STEEPEST)
+        pictures = np.zeros((3, *shape, 3), np.float32)  # the photo, the asset, what it is to match
+        colours = (linear_from_srgb(shown[use]) / received[use], own[use], aim[use])
+        for picture, colour in zip(pictures, colours, strict=True):
+            picture.reshape(-1, 3)[rows] = colour
+        sharp, wide = (max(share * max(shape), _LEAST_FINE) for share in (_FINE, _BROAD))
+        photo_gray, own_gray = pictures[:2].mean(-1)
+        pictures[0] /= _gain(photo_gray, own_gray, known, sharp / 2, wide)[..., None]
+        slow = [_slow(picture, known, sharp) for picture in pictures]
+        quick = (pictures - np.stack(slow)) * known[..., None]
+        flow = shifts(quick[2].mean(-1), quick[0].mean(-1), known)
+        lacks = (_moved(quick[0], flow) - quick[1]) * known[..., None]
+        fine = np.asarray(lacks.clip(-_STEEPEST, _STEEPEST), np.float32)
         apart = slow[0] - slow[1]
-        broad = np.asarray(apart - _slow(apart, known, broadest), np.float32)
+        broad = np.asarray(apart - _slow(apart, known, wide), np.float32)
         good = np.asarray(cv2.erode(known, np.ones((3, 3), np.uint8)), np.float32)
-        return Sheet(camera, depth, np.asarray(fine, np.float32), broad, good)
+        return PhotoDetail(camera, depth, fine, broad, good)
 
-    def _scattered(self, hits: Hits) -> tuple[F32, F32, F32]:
-        """Matte colours (N, 3) of both assets, and the matte share (N,), at the nearest texels."""
+    def _matte(self, hits: Hits) -> tuple[F32, F32, F32]:
+        """Matte colours (N, 3) of both assets and matte shares (N,), of the nearest texels."""
         mesh, size = self.textured.mesh, self.textured.size
         uv = at_hits(mesh.uv, mesh.faces, hits.face, hits.weights)
         column, row = np.clip((uv * size).astype(np.int64), 0, size - 1).T
         matte = 1 - fractions(self.textured.metallic[row, column])
         own, like = (
             linear_from_srgb(fractions(one.base_color[row, column])) * matte[:, None]
-            for one in (self.textured, self.like)
+            for one in (self.textured, self.aligned_with)
         )
         return own, like, matte
-
-
-def shown(sheet: Sheet, points: F32, normals: F32, near: float) -> tuple[Ints, F32, F32]:
-    """Rows (M,) of the points that a photo shows, their pixels (M, 2), and how well it does.
-
-    The worth (M,) is the resolution along the direction in which the surface is foreshortened,
-    pixels for a world unit.
-    """
-    camera = sheet.camera
-    R, t = (camera.cam_from_world[:3, i].astype(np.float32) for i in (slice(3), 3))
-    K = camera.K.astype(np.float32)
-    away = camera.center.astype(np.float32) - points
-    height = np.einsum("nc,nc->n", normals, away)
-    rows = np.flatnonzero(height > 0)
-    x, y, z = R @ points[rows].T + t[:, None]
-    cosine = height[rows] / np.maximum(np.linalg.norm(away[rows], axis=1), 1e-9)
-    ahead = np.maximum(z, 1e-9)
-    u, v = x / ahead * K[0, 0] + K[0, 2], y / ahead * K[1, 1] + K[1, 2]
-    inside = (u > 1) & (v > 1) & (u < camera.width - 1) & (v < camera.height - 1)
-    use = np.flatnonzero(inside & (z > 0) & (cosine > _LEAST_COSINE))
-    rows, cosine, z = rows[use], cosine[use], z[use]
-    pixels = np.stack([u[use], v[use]], 1)
-    sampled = bilinear(np.stack([sheet.depth, sheet.good], -1), pixels)
-    slope = np.sqrt(1 / np.minimum(cosine, 1) ** 2 - 1)
-    allowed = near + slope * z / K[0, 0]
-    good = (np.abs(sampled[:, 0] - z) < allowed) & (sampled[:, 1] > 0.999)
-    return rows[good], pixels[good], (cosine * K[0, 0] / z)[good]
-
-
-def bilinear(values: F32, pixels: F32) -> F32:
-    """(N, C) values (H, W, C), C below 5, at pixel coordinates (N, 2), centres at + 0.5."""
-    count = len(pixels)
-    if not count:
-        return np.empty((0, values.shape[-1]), np.float32)
-    padded = np.zeros((-(-count // _ROW) * _ROW, 2), np.float32)
-    padded[:count] = pixels - 0.5
-    x, y = (np.ascontiguousarray(padded[:, i].reshape(-1, _ROW)) for i in range(2))
-    found = cv2.remap(values, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(found, np.float32).reshape(len(padded), -1)[:count]
 
 
 def _slow(values: F32, known: F32, sigma: float) -> F32:
