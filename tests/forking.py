@@ -83,9 +83,10 @@ class Forked:
             return self._out.read(), self._err.read()
 
     def send_signal(self, number: int) -> None:
-        """Signal it if it has not ended."""
+        """Signal it if it has not ended, as `Popen` does: it may end between the two."""
         if self.poll() is None:
-            os.kill(self.pid, number)
+            with suppress(ProcessLookupError):
+                os.kill(self.pid, number)
 
     def kill(self) -> None:
         """End it at once."""
