@@ -14,7 +14,7 @@ from refdgs_pipe.pipeline.stage import Job, stage
 from refdgs_pipe.texture.settings import PAINTED_SIDE, BakeParams
 
 
-@stage(version=11, programs=("open3d-cpu", "scipy"), by_device=True)
+@stage(version=12, programs=("open3d-cpu", "scipy"), by_device=True)
 def bake(
     mesh: UvMesh,
     looks: Appearance,

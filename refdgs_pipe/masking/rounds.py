@@ -134,7 +134,7 @@ def agreement(found: Found) -> tuple[float, float]:
     return float(np.mean(shares)), float(np.quantile(shares, 0.1))
 
 
-def with_colour(value: F32, colour: F32, near: Bools, covers: Bools) -> F32:
+def with_colour(value: F32, colour: F32, near: Bools, covers: Bools, deep: Bools) -> F32:
     """(H, W) the evidence of the surroundings, and that of colours where it is weak.
 
     Args:
@@ -142,12 +142,14 @@ def with_colour(value: F32, colour: F32, near: Bools, covers: Bools) -> F32:
         near: (H, W) near the outline; far from it colours tell of the surroundings only.
         covers: (H, W) where the object stands: colours tell of the object only, for it may mirror
             the plane.
+        deep: (H, W) well inside the solid's silhouette: colours deny only what the plane or the
+            room deny as well, for the object may mirror the room.
     """
     doubt = np.clip(1 - np.abs(value) / 2, 0, 1)
     told = np.where(covers, np.minimum(colour, 0), colour)
-    return np.asarray(
-        value + COLOUR * doubt * np.where(near, told, np.maximum(told, 0)), np.float32
-    )
+    told = np.where(deep, np.minimum(told, np.maximum(value, 0)), told)
+    told = np.where(near, told, np.maximum(told, 0))
+    return np.asarray(value + COLOUR * doubt * told, np.float32)
 
 
 class _Worker:
@@ -270,7 +272,7 @@ class _Worker:
         given = zip(self.shots, evidence, colours, outlines, self.band, strict=True)
         for shot, one, colour, outline, band in given:
             near, covers = grown(outline, 2 * band), self.table.drawn_cover(shot)
-            out.append(with_colour(one.value, colour, near, covers))
+            out.append(with_colour(one.value, colour, near, covers, grown(outline, -2 * band)))
         return out
 
     def _with_contact(self, values: list[F32], solid: Bools, outlines: list[Bools]) -> list[F32]:

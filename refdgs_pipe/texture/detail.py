@@ -8,7 +8,9 @@ Burt and Adelson 1983).
 
 A single photo also shows reflections and noise. So detail counts only as far as the other photos
 show it too: the regression coefficient of their mean detail on the best photo's, over a few texels.
-Print is on the surface, and all photos agree on it. A reflection moves with the camera.
+Print is on the surface, and all photos agree on it. A reflection moves with the camera. On black
+gloss photos show little else, and reflections end at edges in all photos. So the matte share of
+what photos show there counts too.
 """
 
 from collections.abc import Callable, Iterable
@@ -44,6 +46,7 @@ _BORDER = 16.0  # power of a photo's worth, by which the two best are mixed
 # agree; and over so many they are compared
 _SOFT, _AROUND = 1.5, 8.0
 _DISAGREE, _AGREE = 0.1, 0.4  # coefficient: from nothing kept to everything kept
+_MIRRORS, _MATTE = 0.3, 0.7  # matte share of what photos show: the same
 _ROUNDS = 20  # of smoothing normals over neighbours
 _CHUNK = 1 << 18
 
@@ -82,6 +85,7 @@ class Detail:
         self._best = np.zeros((count, 2, 3), np.float16)
         self._sum = np.zeros((count, 3), np.float32)
         self._broad = np.zeros((count, 3), np.float32)
+        self._slow = np.zeros((count, 2), np.float32)  # of the asset and of the photos
         self._weight = np.zeros(count, np.float32)
         self._pixel = 1.0  # texels
 
@@ -117,6 +121,7 @@ class Detail:
         found = bilinear(detail.fine, shown.pixels)
         self._sum[rows] += worth[:, None] * found
         self._broad[rows] += worth[:, None] * bilinear(detail.broad, shown.pixels)
+        self._slow[rows] += worth[:, None] * bilinear(detail.slow, shown.pixels)
         self._weight[rows] += worth
         first = worth > self._worth[rows, 0]
         second = ~first & (worth > self._worth[rows, 1])
@@ -146,7 +151,9 @@ class Detail:
             self._pixel,
         ).reshape(-1)[texels.index]
         best += self._broad / np.maximum(self._weight, 1e-9)[:, None]
-        more = (kept * several)[:, None] * best
+        matte = self._slow[:, 0] / np.maximum(self._slow[:, 1], 1e-6)
+        kept *= several * _from_to(matte, _MIRRORS, _MATTE)
+        more = kept[:, None] * best
         coded = self.textured.base_color.reshape(-1, 3)[texels.index]
         some = np.flatnonzero(more.any(1))
         base = linear_from_srgb(fractions(coded[some])) + more[some]
@@ -267,5 +274,10 @@ def _agreed(best: F32, others: F32, known: F32, pixel: float) -> F32:
     both = cv2.GaussianBlur(one * other, (0, 0), around)
     own = cv2.GaussianBlur(one * one, (0, 0), around)
     coefficient = both / np.maximum(own, 1e-10)
-    t = np.clip((coefficient - _DISAGREE) / (_AGREE - _DISAGREE), 0, 1)
+    return _from_to(coefficient, _DISAGREE, _AGREE)
+
+
+def _from_to(value: F32, nothing: float, everything: float) -> F32:
+    """0 to 1, smoothly, from one value to another."""
+    t = np.clip((value - nothing) / (everything - nothing), 0, 1)
     return np.asarray(t * t * (3 - 2 * t), np.float32)

@@ -36,6 +36,7 @@ class PhotoDetail:
         depth: (H, W) of the mesh along the camera's axis, world units; 0 where there is none.
         fine: (H, W, 3) linear, without slow changes.
         broad: (H, W, 3) linear, slower changes, without very slow ones.
+        slow: (H, W, 2) linear, slow changes: the asset's matte colour, and what the photo shows.
         good: (H, W) 1 where both can be used, else 0.
     """
 
@@ -43,6 +44,7 @@ class PhotoDetail:
     depth: F32
     fine: F32
     broad: F32
+    slow: F32
     good: F32
 
 
@@ -99,7 +101,8 @@ class Comparison:
         apart = slow[0] - slow[1]
         broad = np.asarray(apart - _slow(apart, known, wide), np.float32)
         good = np.asarray(cv2.erode(known, np.ones((3, 3), np.uint8)), np.float32)
-        return PhotoDetail(camera, depth, fine, broad, good)
+        grays = np.stack([slow[1].mean(-1), slow[0].mean(-1)], -1)
+        return PhotoDetail(camera, depth, fine, broad, grays, good)
 
     def _matte(self, hits: Hits) -> tuple[F32, F32, F32]:
         """Matte colours (N, 3) of both assets and matte shares (N,), of the nearest texels."""

@@ -27,12 +27,12 @@ CAMERAS = [
 ]
 
 
-def asset(*, print_: float) -> TexturedMesh:
-    """A grey matte ball with fine print of this contrast."""
+def asset(*, print_: float, level: float = 0.4) -> TexturedMesh:
+    """A matte ball of this linear grey with fine print of this contrast."""
     plain = textured(SIZE)
     texels = rasterize(plain.mesh, SIZE)
     x, y, z = texels.interpolate(plain.mesh, plain.mesh.vertices).T
-    fine = 0.4 + print_ * np.sign(np.sin(40 * z) * np.sin(25 * (x + 0.7 * y)))
+    fine = level + print_ * np.sign(np.sin(40 * z) * np.sin(25 * (x + 0.7 * y)))
     coded = srgb_from_linear(np.repeat(fine[:, None], 3, 1).astype(np.float32))
     return replace(
         plain,
@@ -89,6 +89,14 @@ def test_what_one_photo_shows_alone_does_not() -> None:
     mirrored = replace(same[0], rgb=same[0].rgb * stripes)
     assert apart(added(plain, [mirrored, *same[1:]]), plain).mean() < 0.004
     assert apart(added(plain, [mirrored, mirrored]), plain).mean() > 0.01  # were it print
+
+
+def test_what_black_gloss_mirrors_does_not_though_all_photos_agree() -> None:
+    """The edges of its faces: there all photos show a step, five times as bright as the surface."""
+    mirrored = photos(asset(print_=0.03, level=0.05))
+    black, grey = (asset(print_=0.0, level=level) for level in (0.01, 0.05))
+    assert apart(added(black, mirrored), black).mean() < 1e-3
+    assert apart(added(grey, mirrored), grey).mean() > 0.02  # were it the surface's own
 
 
 def test_a_metal_has_no_print(shots: list[Photo]) -> None:
