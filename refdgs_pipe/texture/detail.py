@@ -151,8 +151,8 @@ class Detail:
             self._pixel,
         ).reshape(-1)[texels.index]
         best += self._broad / np.maximum(self._weight, 1e-9)[:, None]
-        matte = self._slow[:, 0] / np.maximum(self._slow[:, 1], 1e-6)
-        kept *= several * _from_to(matte, _MIRRORS, _MATTE)
+        own, shown = self._slow.T
+        kept *= several * _from_to(own / np.maximum(shown, 1e-6), _MIRRORS, _MATTE)
         more = kept[:, None] * best
         coded = self.textured.base_color.reshape(-1, 3)[texels.index]
         some = np.flatnonzero(more.any(1))
@@ -277,7 +277,7 @@ def _agreed(best: F32, others: F32, known: F32, pixel: float) -> F32:
     return _from_to(coefficient, _DISAGREE, _AGREE)
 
 
-def _from_to(value: F32, nothing: float, everything: float) -> F32:
+def _from_to(value: NDArray[np.floating], nothing: float, everything: float) -> F32:
     """0 to 1, smoothly, from one value to another."""
     t = np.clip((value - nothing) / (everything - nothing), 0, 1)
     return np.asarray(t * t * (3 - 2 * t), np.float32)
