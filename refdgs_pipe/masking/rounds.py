@@ -142,8 +142,7 @@ def with_colour(value: F32, colour: F32, near: Bools, covers: Bools, deep: Bools
         near: (H, W) near the outline; far from it colours tell of the surroundings only.
         covers: (H, W) where the object stands: colours tell of the object only, for it may mirror
             the plane.
-        deep: (H, W) well inside the solid's silhouette: colours deny only what the plane or the
-            room deny as well, for the object may mirror the room.
+        deep: (H, W) well inside the outline: colours deny only what plane or room deny too.
     """
     doubt = np.clip(1 - np.abs(value) / 2, 0, 1)
     told = np.where(covers, np.minimum(colour, 0), colour)
@@ -231,7 +230,8 @@ class _Worker:
             if solid.sum() < LEAST_CELLS:
                 return None
             solid = self._covering(solid, free, known, values)
-            solid = standing(self.cells, solid, self.shots, free, known, self.plane)
+            beside = _sure([-value for value in values], known)
+            solid = standing(self.cells, solid, self.shots, free, known, beside, self.plane)
             outlines = self._silhouettes(solid)
             self.band = [max(2, round(band / 2)) for band in self.band]
         values = self._with_contact(values, solid, outlines)
@@ -376,7 +376,7 @@ class _Worker:
 
 
 def _sure(values: list[F32], known: list[Bools]) -> list[Bools]:
-    """(H, W) where photos are sure to show the object."""
+    """(H, W) where photos are sure to show the object; of negative values: the surroundings."""
     return [(smooth(v, 1.0) < -CERTAIN) & k for v, k in zip(values, known, strict=True)]
 
 
