@@ -38,12 +38,7 @@ from refdgs_pipe.masking.solid import (
     silhouette,
     standing,
 )
-from refdgs_pipe.masking.table import (
-    Evidence,
-    Table,
-    shown_plane,
-    smooth,
-)
+from refdgs_pipe.masking.table import Evidence, Table, shown_plane, smooth
 
 TELLING = 0.6  # evidence below which the room cannot tell whether a cell is empty
 SURE = 4.0  # evidence against what cannot be the object
@@ -230,7 +225,8 @@ class _Worker:
             if solid.sum() < LEAST_CELLS:
                 return None
             solid = self._covering(solid, free, known, values)
-            beside = _sure([-value for value in values], known)
+            # what only a flash lights tells little anywhere: that few are sure is no reason then
+            beside = known if self.lamp is not None else _sure([-v for v in values], known)
             solid = standing(self.cells, solid, self.shots, free, known, beside, self.plane)
             outlines = self._silhouettes(solid)
             self.band = [max(2, round(band / 2)) for band in self.band]
@@ -272,7 +268,8 @@ class _Worker:
         given = zip(self.shots, evidence, colours, outlines, self.band, strict=True)
         for shot, one, colour, outline, band in given:
             near, covers = grown(outline, 2 * band), self.table.drawn_cover(shot)
-            out.append(with_colour(one.value, colour, near, covers, grown(outline, -2 * band)))
+            deep = grown(outline, -2 * band) & (self.lamp is None)
+            out.append(with_colour(one.value, colour, near, covers, deep))
         return out
 
     def _with_contact(self, values: list[F32], solid: Bools, outlines: list[Bools]) -> list[F32]:
