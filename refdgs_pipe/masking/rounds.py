@@ -225,9 +225,7 @@ class _Worker:
             if solid.sum() < LEAST_CELLS:
                 return None
             solid = self._covering(solid, free, known, values)
-            # what only a flash lights tells little anywhere: that few are sure is no reason then
-            beside = known if self.lamp is not None else _sure([-v for v in values], known)
-            solid = standing(self.cells, solid, self.shots, free, known, beside, self.plane)
+            solid = standing(self.cells, solid, self.shots, free, known, self.plane)
             outlines = self._silhouettes(solid)
             self.band = [max(2, round(band / 2)) for band in self.band]
         values = self._with_contact(values, solid, outlines)
@@ -373,7 +371,7 @@ class _Worker:
 
 
 def _sure(values: list[F32], known: list[Bools]) -> list[Bools]:
-    """(H, W) where photos are sure to show the object; of negative values: the surroundings."""
+    """(H, W) where photos are sure to show the object."""
     return [(smooth(v, 1.0) < -CERTAIN) & k for v, k in zip(values, known, strict=True)]
 
 

@@ -26,7 +26,6 @@ MOST = 0.06  # of the solid's cells that may come back: round a turntable photos
 FEWEST, OFTEN = 3, 0.1
 LOW = 0.06  # of the ball's radius: what lies lower is at the contact with the plane
 BARELY = 0.09  # share of the photos that can tell, which may deny a cell at the contact
-RARELY, FIRMLY = 0.18, 0.06  # or that share, of which the second may be sure
 SHADOW_CELLS = 256  # along an edge of the plane, on which shadows are drawn
 PIECE = 0.03  # of the largest piece's cells: smaller ones go
 
@@ -151,18 +150,15 @@ def standing(
     shots: list[Shot],
     free: list[Bools],
     known: list[Bools],
-    beside: list[Bools],
     plane: tuple[F64, float],
 ) -> Bools:
     """(n ** 3,) the solid, and cells between it and the plane that few photos deny.
 
     At the contact, a mirror shows the plane right beside the plane itself, and photos from one side
-    take it for that. A white foot looks like white paper: more photos deny it, but few are sure. A
-    solid that ends just above the plane stands on it.
+    take it for that. A solid that ends just above the plane stands on it.
 
     Args:
         solid, free, known: as in `covering`.
-        beside: (H, W) where each photo is sure to show the surroundings.
         plane: unit normal and offset.
     """
     near = low(cells, *plane)
@@ -176,10 +172,10 @@ def standing(
             break
         under |= there & lowest[above]
     index = index[under]
+    index, seen, told, denied = _polled(cells, index, shots, free, known, BARELY)
+    back = (seen >= SHOWN * len(shots)) & (told >= KNOWN * len(shots)) & (denied <= BARELY * told)
     out = solid.copy()
-    out[_seldom_denied(cells, index, shots, free, known, BARELY)] = True
-    index = _seldom_denied(cells, index, shots, free, known, RARELY)
-    out[_seldom_denied(cells, index, shots, [~sure for sure in beside], known, FIRMLY)] = True
+    out[index[back]] = True
     return out
 
 
@@ -211,15 +207,6 @@ def _polled(
             index, points = index[left], points[left]
             seen, told, denied = seen[left], told[left], denied[left]
     return index, seen, told, denied
-
-
-def _seldom_denied(
-    cells: Cells, index: Ints, shots: list[Shot], free: list[Bools], known: list[Bools], deny: float
-) -> Ints:
-    """Those of the cells that enough photos show and can tell of, and few deny, as in `_polled`."""
-    index, seen, told, denied = _polled(cells, index, shots, free, known, deny)
-    enough = (seen >= SHOWN * len(shots)) & (told >= KNOWN * len(shots))
-    return index[enough & (denied <= deny * told)]
 
 
 def _on_rays(points: F64, shot: Shot, pixels: Bools, step: int) -> tuple[Ints, Ints]:

@@ -258,12 +258,8 @@ def test_what_two_photos_ask_for_comes_back_although_one_photo_asks_for_too_much
     assert (covering(cells, solid, shots, free, known, sure, turns=True) == solid).all()
 
 
-@pytest.mark.parametrize(
-    ("denying", "sure", "comes"), [(1, 1, True), (4, 1, True), (4, 2, False), (5, 0, False)]
-)
-def test_a_foot_that_few_of_many_photos_deny_comes_back(
-    denying: int, sure: int, comes: bool
-) -> None:
+@pytest.mark.parametrize("denying", [1, 4])
+def test_a_foot_that_one_photo_of_many_denies_comes_back(denying: int) -> None:
     cells = grid(BALL, UP, 0.0, 64)
     shots, truth = ring_of_shots(24)
     free = [cv2.dilate(t.astype(np.uint8), np.ones((3, 3))) > 0 for t in truth]
@@ -273,13 +269,11 @@ def test_a_foot_that_few_of_many_photos_deny_comes_back(
     foot = whole & (height < 0.03)
     assert (foot <= low(cells, UP, 0.0)).all()
     shoulder = whole & (height > 0.5)  # what is high does not come back
-    beside = [np.zeros_like(t) for t in truth]
     for i in range(denying):
         free[i] &= ~silhouette(cells, foot, shots[i])
-        beside[i] = ~free[i] & (i < sure)
     cut_off = whole & ~foot & ~shoulder
-    back = standing(cells, cut_off, shots, free, known, beside, (UP, 0.0)) & ~cut_off
-    if not comes:
+    back = standing(cells, cut_off, shots, free, known, (UP, 0.0)) & ~cut_off
+    if denying > 1:
         assert not back[foot].any()
         return
     assert back[foot].mean() > 0.9
