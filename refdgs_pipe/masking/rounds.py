@@ -266,6 +266,7 @@ class _Worker:
         given = zip(self.shots, evidence, colours, outlines, self.band, strict=True)
         for shot, one, colour, outline, band in given:
             near, covers = grown(outline, 2 * band), self.table.drawn_cover(shot)
+            # A body mirrors a lit room; with a flash the room is dark
             deep = grown(outline, -2 * band) & (self.lamp is None)
             out.append(with_colour(one.value, colour, near, covers, deep))
         return out

@@ -8,9 +8,9 @@ Burt and Adelson 1983).
 
 A single photo also shows reflections and noise. So detail counts only as far as the other photos
 show it too: the regression coefficient of their mean detail on the best photo's, over a few texels.
-Print is on the surface, and all photos agree on it. A reflection moves with the camera. On black
-gloss photos show little else, and reflections end at edges in all photos. So the matte share of
-what photos show there counts too.
+Print is on the surface, and all photos agree on it. A reflection moves with the camera. But black
+gloss shows mostly reflections, and in all photos they end at its edges. So detail also counts only
+as far as the matte colour is most of what photos show.
 """
 
 from collections.abc import Callable, Iterable
@@ -34,6 +34,7 @@ from refdgs_pipe.texture.material import nearest
 from refdgs_pipe.texture.photo_detail import Comparison, PhotoDetail
 from refdgs_pipe.texture.points import SurfacePoints, bilinear
 from refdgs_pipe.texture.texels import rasterize
+from refdgs_pipe.texture.view_variation import smooth_step
 from refdgs_pipe.vectors import unit
 
 F32 = NDArray[np.float32]
@@ -85,7 +86,7 @@ class Detail:
         self._best = np.zeros((count, 2, 3), np.float16)
         self._sum = np.zeros((count, 3), np.float32)
         self._broad = np.zeros((count, 3), np.float32)
-        self._slow = np.zeros((count, 2), np.float32)  # of the asset and of the photos
+        self._slow = np.zeros((count, 2), np.float32)  # sums: the asset's, the photos'
         self._weight = np.zeros(count, np.float32)
         self._pixel = 1.0  # texels
 
@@ -152,7 +153,8 @@ class Detail:
         ).reshape(-1)[texels.index]
         best += self._broad / np.maximum(self._weight, 1e-9)[:, None]
         own, shown = self._slow.T
-        kept *= several * _from_to(own / np.maximum(shown, 1e-6), _MIRRORS, _MATTE)
+        matte = np.asarray(own / np.maximum(shown, 1e-6), np.float32)
+        kept *= several * smooth_step(matte, _MIRRORS, _MATTE)
         more = kept[:, None] * best
         coded = self.textured.base_color.reshape(-1, 3)[texels.index]
         some = np.flatnonzero(more.any(1))
@@ -274,10 +276,4 @@ def _agreed(best: F32, others: F32, known: F32, pixel: float) -> F32:
     both = cv2.GaussianBlur(one * other, (0, 0), around)
     own = cv2.GaussianBlur(one * one, (0, 0), around)
     coefficient = both / np.maximum(own, 1e-10)
-    return _from_to(coefficient, _DISAGREE, _AGREE)
-
-
-def _from_to(value: NDArray[np.floating], nothing: float, everything: float) -> F32:
-    """0 to 1, smoothly, from one value to another."""
-    t = np.clip((value - nothing) / (everything - nothing), 0, 1)
-    return np.asarray(t * t * (3 - 2 * t), np.float32)
+    return smooth_step(np.asarray(coefficient, np.float32), _DISAGREE, _AGREE)

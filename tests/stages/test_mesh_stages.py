@@ -188,25 +188,10 @@ def noise(folder: Path, model: SparseModel) -> Views:
     (folder / "noise").mkdir()
     items = []
     for camera in model.cameras:
-        size = (camera.width, camera.height)
-        write_png(
-            folder / f"noise/{camera.name}.png",
-            random.integers(0, 255, (*size[::-1], 3)).astype(np.uint8),
-        )
-        items.append(
-            View(
-                camera.name,
-                f"noise/{camera.name}.png",
-                *size,
-                None,
-                "train",
-                Exif(),
-                500.0,
-                0.3,
-                None,
-                camera.name,
-            )
-        )
+        name, width, height = camera.name, camera.width, camera.height
+        file = f"noise/{name}.png"
+        write_png(folder / file, random.integers(0, 255, (height, width, 3)).astype(np.uint8))
+        items.append(View(name, file, width, height, None, "train", Exif(), 500.0, 0.3, None, name))
     return Views(folder, tuple(items), "srgb", "photo", ())
 
 
