@@ -38,7 +38,12 @@ from refdgs_pipe.masking.solid import (
     silhouette,
     standing,
 )
-from refdgs_pipe.masking.table import Evidence, Table, shown_plane, smooth
+from refdgs_pipe.masking.table import (
+    Evidence,
+    Table,
+    shown_plane,
+    smooth,
+)
 
 TELLING = 0.6  # evidence below which the room cannot tell whether a cell is empty
 SURE = 4.0  # evidence against what cannot be the object
@@ -129,7 +134,7 @@ def agreement(found: Found) -> tuple[float, float]:
     return float(np.mean(shares)), float(np.quantile(shares, 0.1))
 
 
-def with_colour(value: F32, colour: F32, near: Bools, covers: Bools, deep: Bools) -> F32:
+def with_colour(value: F32, colour: F32, near: Bools, covers: Bools) -> F32:
     """(H, W) the evidence of the surroundings, and that of colours where it is weak.
 
     Args:
@@ -137,13 +142,12 @@ def with_colour(value: F32, colour: F32, near: Bools, covers: Bools, deep: Bools
         near: (H, W) near the outline; far from it colours tell of the surroundings only.
         covers: (H, W) where the object stands: colours tell of the object only, for it may mirror
             the plane.
-        deep: (H, W) well inside the outline: colours deny only what plane or room deny too.
     """
     doubt = np.clip(1 - np.abs(value) / 2, 0, 1)
     told = np.where(covers, np.minimum(colour, 0), colour)
-    told = np.where(deep, np.minimum(told, np.maximum(value, 0)), told)
-    told = np.where(near, told, np.maximum(told, 0))
-    return np.asarray(value + COLOUR * doubt * told, np.float32)
+    return np.asarray(
+        value + COLOUR * doubt * np.where(near, told, np.maximum(told, 0)), np.float32
+    )
 
 
 class _Worker:
@@ -266,9 +270,7 @@ class _Worker:
         given = zip(self.shots, evidence, colours, outlines, self.band, strict=True)
         for shot, one, colour, outline, band in given:
             near, covers = grown(outline, 2 * band), self.table.drawn_cover(shot)
-            # A body mirrors a lit room; with a flash the room is dark
-            deep = grown(outline, -2 * band) & (self.lamp is None)
-            out.append(with_colour(one.value, colour, near, covers, deep))
+            out.append(with_colour(one.value, colour, near, covers))
         return out
 
     def _with_contact(self, values: list[F32], solid: Bools, outlines: list[Bools]) -> list[F32]:

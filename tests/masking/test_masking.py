@@ -182,24 +182,12 @@ def test_the_planes_colour_is_no_evidence_for_it_where_the_object_stands() -> No
     colour = np.array([[2.0, -2.0, 2.0, -2.0]], np.float32)
     covers = np.array([[True, True, False, False]])
     near = np.ones((1, 4), bool)
-    found = with_colour(value, colour, near, covers, ~near)[0]
+    found = with_colour(value, colour, near, covers)[0]
     assert found[0] == 0 and found[1] < 0 < found[2] and found[3] < 0
-    far = with_colour(value, colour, ~near, covers, ~near)[0]
+    far = with_colour(value, colour, ~near, covers)[0]
     assert far[2] > 0 and not far[[0, 1, 3]].any()
-    sure = with_colour(value + 3, colour, near, covers, ~near)[0]
+    sure = with_colour(value + 3, colour, near, covers)[0]
     assert (sure == 3).all()
-
-
-def test_colours_alone_deny_nothing_well_inside_the_outline() -> None:
-    """A flat cap has the colour of the wall that it mirrors."""
-    value = np.array([[0.0, -0.5, 0.5, 0.0]], np.float32)
-    colour = np.array([[2.0, 2.0, 2.0, -2.0]], np.float32)
-    all_of_it = np.ones((1, 4), bool)
-    at_the_edge = with_colour(value, colour, all_of_it, ~all_of_it, ~all_of_it)[0]
-    deep = with_colour(value, colour, all_of_it, ~all_of_it, all_of_it)[0]
-    assert (at_the_edge[:3] > value[0, :3]).all()
-    assert deep[0] == value[0, 0] and deep[1] == value[0, 1]
-    assert value[0, 2] < deep[2] < at_the_edge[2] and deep[3] == at_the_edge[3]
 
 
 def test_a_cell_that_photos_deny_is_not_solid() -> None:
