@@ -54,6 +54,8 @@ class SurfaceScore:
         median_accuracy, median_completeness: medians where accuracy and completeness are means.
         worst_accuracy, worst_completeness: the means in the worst part of the surface, of parts as
             large as a tenth of the diagonal.
+        left_out: share of the mesh's points that lie too far off and do not count, where the mesh
+            may hold more than the object.
     """
 
     diagonal: float
@@ -67,6 +69,7 @@ class SurfaceScore:
     median_completeness: float | None = None
     worst_accuracy: float | None = None
     worst_completeness: float | None = None
+    left_out: float | None = None
 
     def percent(self, length: float | None) -> float | None:
         """A length in percent of the diagonal."""
@@ -175,7 +178,7 @@ class Scores:
         """Everything as JSON has it, with the means and percentages that `load` leaves out."""
         surface = None
         if self.surface is not None:
-            shares = ("diagonal", "f_score_half_percent", "f_score_one_percent")
+            shares = ("diagonal", "f_score_half_percent", "f_score_one_percent", "left_out")
             lengths = [name for name in asdict(self.surface) if name not in shares]
             percent = {
                 f"{name}_percent": self.surface.percent(getattr(self.surface, name))

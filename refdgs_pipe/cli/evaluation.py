@@ -114,6 +114,9 @@ def _surface_rows(surface: dict[str, Any], notes: dict[str, str]) -> list[tuple[
     for figure, part in (("f_score_half_percent", "0.5 %"), ("f_score_one_percent", "1 %")):
         words = f"share within {part} of the diagonal"
         rows.append(_row("F-score", surface[figure], "", 4, words, notes.get("chamfer")))
+    if surface["left_out"]:
+        words = "share of the mesh that lies too far off to count"
+        rows.append(_row("  left out", surface["left_out"], "", 4, words, None))
     return rows
 
 

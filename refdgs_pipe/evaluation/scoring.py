@@ -348,14 +348,21 @@ def _score_surface(subject: Subject, longest: int) -> tuple[SurfaceScore | None,
 def _score_surface_by_cameras(
     subject: Subject, mesh: Path, centers: Path, longest: int
 ) -> tuple[SurfaceScore | None, str | None]:
-    """The surface's score where only the true cameras tell where the truth lies."""
+    """The surface's score where only the true cameras tell where the truth lies.
+
+    Without masks, the mesh may hold what the object stands on.
+    """
     model = subject.model
     world = world_from_truth(model.cameras, read_true_centers(centers))
     if world is None:
         return None, f"{centers.name} holds fewer than 3 of the photos, or all in one line"
     truth = laid(read_true_mesh(mesh), world)
     found = score_surface(
-        subject.mesh, _training_cameras(subject, longest), truth, among_others=True
+        subject.mesh,
+        _training_cameras(subject, longest),
+        truth,
+        paper=False,
+        among_others=subject.views.background == "photo",
     )
     return found, None if found else "no training camera sees a mesh near the true surface"
 

@@ -96,6 +96,7 @@ def score_surface(
     true_mesh: TriangleMesh | None,
     true_points: F64 | None = None,
     *,
+    paper: bool = True,
     among_others: bool = False,
 ) -> SurfaceScore | None:
     """Compare a mesh with the true one, all in one world frame.
@@ -104,9 +105,9 @@ def score_surface(
         cameras: the training views, at the size that they are rasterised in.
         true_points: (P, 3) the data set's own points for the paper's protocol; without them the
             true mesh is rasterised as the result is.
+        paper: whether there is a figure in the paper's protocol, whose grid has the world's unit.
         among_others: the mesh also holds what the object stands on, which the truth does not: the
-            samples of the mesh that are further than NEIGHBOURHOOD from the truth do not count,
-            and there is no figure in the paper's protocol.
+            samples of the mesh that are further than NEIGHBOURHOOD from the truth do not count.
 
     Returns:
         None if the cameras see nothing of the mesh, or of the truth.
@@ -118,8 +119,8 @@ def score_surface(
     if true_mesh is None:
         if true_points is None:
             return None
-        paper = SurfaceDistances(nearest(points, true_points), nearest(true_points, points))
-        return SurfaceScore(_diagonal(true_points), paper.chamfer)
+        apart = SurfaceDistances(nearest(points, true_points), nearest(true_points, points))
+        return SurfaceScore(_diagonal(true_points), apart.chamfer)
     truth = Surface(true_mesh, cameras)
     targets = truth.seen_points(PAPER_VOXEL) if true_points is None else true_points
     samples = result.seen_samples(SAMPLES, SEED)
@@ -128,13 +129,14 @@ def score_surface(
         return None
     diagonal = _diagonal(true_mesh.vertices[np.unique(true_mesh.faces)])
     to_truth = truth.distances(samples)
-    points_apart = None
+    left_out = points_apart = None
     if among_others:
         near = to_truth < NEIGHBOURHOOD * diagonal
+        left_out = 1 - float(near.mean())
         samples, to_truth = samples[near], to_truth[near]
         if not near.any():
             return None
-    else:
+    if paper:
         points_apart = SurfaceDistances(nearest(points, targets), nearest(targets, points)).chamfer
     between = SurfaceDistances(to_truth, result.distances(true_samples))
     return SurfaceScore(
@@ -149,6 +151,7 @@ def score_surface(
         worst_completeness=_worst(true_samples, between.to_result, diagonal),
         f_score_half_percent=between.f_score(0.005 * diagonal),
         f_score_one_percent=between.f_score(0.01 * diagonal),
+        left_out=left_out,
     )
 
 

@@ -123,6 +123,8 @@ def _surface(found: Scores) -> list[tuple[Content, ...]]:
         value = getattr(surface, name)
         words = "not computed" if value is None else f"{value:.4f}"
         rows.append((f"F-score, {part}", words, meanings.F_SCORE))
+    if surface.left_out:
+        rows.append(("left out, too far off", f"{surface.left_out:.1%}", meanings.LEFT_OUT))
     return rows
 
 

@@ -129,7 +129,7 @@ def _true_figures(case: Case, mesh: Any, drawing: Any, masked: bool) -> dict[str
     record = json.loads((truth_root(case) / name).read_text())
     around = [_camera(case, record, frame) for frame in record["frames"]][::2]
     truth = read_true_mesh(truth_root(case) / "gt_mesh.ply")
-    found = score_surface(mesh, around, truth, among_others=case.photos)
+    found = score_surface(mesh, around, truth, among_others=case.photos and not masked)
     field, asset = [], []
     for frame in truth_frames(case):
         camera = _camera(case, record, frame)

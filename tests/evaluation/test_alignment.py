@@ -76,7 +76,7 @@ def test_the_table_under_an_object_is_not_held_against_it() -> None:
     assert alone.accuracy is not None and alone.accuracy > 1
     assert among.accuracy is not None and among.accuracy < 0.05
     assert among.median_completeness == pytest.approx(0, abs=1e-6)
-    assert among.paper_chamfer is None
+    assert among.left_out is not None and among.left_out > 0.9
 
 
 def test_truth_beside_the_folder_of_images_belongs_to_the_photos(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """Results of known quality get the scores that they deserve."""
 
 import copy
+import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -8,6 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import solids
 import truth as scenes
 from captures import Stages
 from oracle import RADIUS, Oracle, moved, turned, write_ball
@@ -17,7 +19,7 @@ from refdgs_pipe.artifacts.surface_map import SurfaceMap
 from refdgs_pipe.artifacts.truth import view_truth_files
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.errors import CorruptError, InputError
-from refdgs_pipe.evaluation.scoring import Protocol
+from refdgs_pipe.evaluation.scoring import Drawing, Protocol, Subject, score
 from refdgs_pipe.evaluation.speed import Timed
 from refdgs_pipe.evaluation.surface import Surface
 from refdgs_pipe.evaluation.truth import read_view_truth
@@ -107,6 +109,30 @@ def test_known_errors_of_a_ball_are_found(ball: Oracle) -> None:
     check_a_shift_by_one_percent(ball)
     surface = ball.score_surface(mesh=moved(ball.mesh, (0.01 * ball.diagonal, 0, 0)))
     assert surface.percent(surface.chamfer) == pytest.approx(0.5, rel=0.03)  # mean of |cos|
+
+
+def test_a_lump_far_off_counts_unless_the_mesh_may_hold_a_table(ball: Oracle) -> None:
+    """Of photos without poses, whose truth lies where its cameras do."""
+    lump = moved(replace(ball.mesh, vertices=ball.mesh.vertices / 4), (1.4 * RADIUS, 0, 0))
+    mesh = solids.joined(ball.mesh, lump)
+    frames = [
+        {"file": f"{camera.name}.png", "transform_matrix": camera.world_from_cam.tolist()}
+        for camera in ball.model.cameras
+    ]
+    (ball.root / "cameras_gt.json").write_text(json.dumps({"frames": frames}))
+    model = replace(ball.model, sfm_from_world=np.diag([2.0, 2.0, 2.0, 1.0]))
+    drawing = Drawing(ball.picture, ball.maps)
+    surfaces = []
+    for background in ("white", "photo"):
+        views = replace(ball.views, background=background)
+        subject = Subject(views, model, mesh, ball.root)
+        surfaces.append(score(subject, drawing, Protocol(800)).surface)
+    masked, among = surfaces
+    assert masked is not None and masked.accuracy is not None
+    assert among is not None and among.accuracy is not None and among.left_out is not None
+    assert masked.left_out is None and masked.accuracy > 0.005 * ball.diagonal
+    assert 0.03 < among.left_out < 0.12 and among.accuracy < 0.25 * masked.accuracy
+    assert masked.paper_chamfer is None and among.paper_chamfer is None
 
 
 def test_scores_are_the_same_after_a_round_trip(ball: Oracle, tmp_path: Path) -> None:
