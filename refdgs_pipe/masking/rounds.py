@@ -265,7 +265,8 @@ class _Worker:
     def _with_colours(self, evidence: list[Evidence], found: Found) -> list[F32]:
         """(H, W) the evidence, and that of colours where it is weak; far off only one way."""
         outlines = self._parts_of(found.outlines)
-        colours = colour_evidence(self.shots, self._parts(found.masks), outlines, self.band)
+        masks, shaded = self._parts(found.masks), self.level.shaded
+        colours = colour_evidence(self.shots, masks, outlines, self.band, shaded=shaded)
         out = []
         given = zip(self.shots, evidence, colours, outlines, self.band, strict=True)
         for shot, one, colour, outline, band in given:
