@@ -169,6 +169,7 @@ class _Worker:
         self.turns = light is not None and light.kind == "turntable"
         self.level, self.ball, self.threads = level, model.ball, threads
         self.inner = INNER if level is LAST else 1.0
+        self.shaded = level.shaded if light is None else 0.0  # shade of a moving light moves
         whole = whole_shots(views, model, level.side)
         if found is None:
             self.shots = list(whole)
@@ -265,8 +266,8 @@ class _Worker:
     def _with_colours(self, evidence: list[Evidence], found: Found) -> list[F32]:
         """(H, W) the evidence, and that of colours where it is weak; far off only one way."""
         outlines = self._parts_of(found.outlines)
-        masks, shaded = self._parts(found.masks), self.level.shaded
-        colours = colour_evidence(self.shots, masks, outlines, self.band, shaded=shaded)
+        masks = self._parts(found.masks)
+        colours = colour_evidence(self.shots, masks, outlines, self.band, shaded=self.shaded)
         out = []
         given = zip(self.shots, evidence, colours, outlines, self.band, strict=True)
         for shot, one, colour, outline, band in given:
