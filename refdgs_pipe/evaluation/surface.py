@@ -117,10 +117,7 @@ def score_surface(
     if not len(points):
         return None
     if true_mesh is None:
-        if true_points is None:
-            return None
-        apart = SurfaceDistances(nearest(points, true_points), nearest(true_points, points))
-        return SurfaceScore(_diagonal(true_points), apart.chamfer)
+        return None if true_points is None else _paper_score(points, true_points)
     truth = Surface(true_mesh, cameras)
     targets = truth.seen_points(PAPER_VOXEL) if true_points is None else true_points
     samples = result.seen_samples(SAMPLES, SEED)
@@ -129,20 +126,16 @@ def score_surface(
         return None
     diagonal = _diagonal(true_mesh.vertices[np.unique(true_mesh.faces)])
     to_truth = truth.distances(samples)
-    left_out = points_apart = None
+    near = to_truth < NEIGHBOURHOOD * diagonal
     if among_others:
-        near = to_truth < NEIGHBOURHOOD * diagonal
-        left_out = 1 - float(near.mean())
         samples, to_truth = samples[near], to_truth[near]
         if not near.any():
             return None
-    if paper:
-        points_apart = SurfaceDistances(nearest(points, targets), nearest(targets, points)).chamfer
     between = SurfaceDistances(to_truth, result.distances(true_samples))
     return SurfaceScore(
         diagonal,
-        paper_chamfer=points_apart,
-        chamfer=between.chamfer,
+        _between_points(points, targets) if paper else None,
+        between.chamfer,
         accuracy=between.accuracy,
         completeness=between.completeness,
         median_accuracy=between.medians[0],
@@ -151,8 +144,18 @@ def score_surface(
         worst_completeness=_worst(true_samples, between.to_result, diagonal),
         f_score_half_percent=between.f_score(0.005 * diagonal),
         f_score_one_percent=between.f_score(0.01 * diagonal),
-        left_out=left_out,
+        left_out=1 - float(near.mean()) if among_others else None,
     )
+
+
+def _paper_score(points: F64, true_points: F64) -> SurfaceScore:
+    """The figure in the paper's protocol alone, of points (N, 3) and the truth's (P, 3)."""
+    return SurfaceScore(_diagonal(true_points), _between_points(points, true_points))
+
+
+def _between_points(points: F64, others: F64) -> float:
+    """The Chamfer distance between two sets of points (N, 3) and (M, 3)."""
+    return SurfaceDistances(nearest(points, others), nearest(others, points)).chamfer
 
 
 def sampled(mesh: TriangleMesh, count: int, seed: int) -> F64:
