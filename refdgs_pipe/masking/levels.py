@@ -2,9 +2,10 @@
 
 from dataclasses import dataclass
 
+from refdgs_pipe.artifacts.lighting import Lighting
 from refdgs_pipe.masking.table import BLUR, Blur
 
-SHADED = 0.3
+SHADED = 0.3  # of the surroundings' colours, before the last round
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,10 @@ class Level:
     weight: float
     blur: Blur = BLUR
     shaded: float = SHADED
+
+    def shaded_in(self, light: Lighting | None) -> float:
+        """`shaded` in a light that stands still with the object; 0 under a flash, on a turntable."""
+        return self.shaded if light is None or light.kind == "world" else 0.0
 
 
 LEVELS = (

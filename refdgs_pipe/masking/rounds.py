@@ -98,7 +98,7 @@ def object_masks(
         plane: unit normal and offset, world.
         progress: told the rounds done and their number; may raise.
         threads: photos that are worked on at a time; the result does not depend on it.
-        light: a flash, whose shadow moves with it, or a turntable; None for a still light.
+        light: a flash, whose shadow moves with it, a turntable, or a still light, as None is.
     """
     found: Found | None = None
     stands = foot(views, model, plane, threads, flash=light is not None and light.lamp is not None)
@@ -169,7 +169,7 @@ class _Worker:
         self.turns = light is not None and light.kind == "turntable"
         self.level, self.ball, self.threads = level, model.ball, threads
         self.inner = INNER if level is LAST else 1.0
-        self.shaded = level.shaded if light is None else 0.0  # shade of a moving light moves
+        self.shaded = level.shaded_in(light)
         whole = whole_shots(views, model, level.side)
         if found is None:
             self.shots = list(whole)

@@ -1,11 +1,13 @@
 """What colours in and round an outline say of each pixel."""
 
 import numpy as np
+import pytest
 from scenes import orbit
 
+from refdgs_pipe.artifacts.lighting import Lighting
 from refdgs_pipe.ground.shots import Shot
 from refdgs_pipe.masking.colours import colour_evidence
-from refdgs_pipe.masking.levels import SHADED
+from refdgs_pipe.masking.levels import LAST, LEVELS, SHADED
 
 BROWN, WHITE = (0.5, 0.33, 0.2), (0.9, 0.9, 0.88)
 
@@ -22,11 +24,10 @@ def shot_of(rgb: np.ndarray) -> Shot:
     )
 
 
-def told(*patches: tuple[slice, tuple[float, ...]], shaded: float = SHADED) -> np.ndarray:
-    """Evidence of a photo of a white plate on a brown table, with rows of other colours in it.
+def told(strip: tuple[float, ...], shaded: float = SHADED) -> np.ndarray:
+    """Evidence of a photo of a white plate on a brown table, with a strip of a colour below it.
 
-    The outline is that of the plate and of the rows below it, as where an outline has grown over
-    what lies in the plate's shade.
+    The outline is that of both, as where it has grown over what lies in the plate's shade.
     """
     rgb = np.tile(np.array(BROWN), (120, 120, 1)) + np.random.default_rng(0).normal(
         0, 0.01, (120, 120, 3)
@@ -34,14 +35,13 @@ def told(*patches: tuple[slice, tuple[float, ...]], shaded: float = SHADED) -> n
     outline = np.zeros((120, 120), bool)
     outline[40:80, 30:90] = True
     rgb[40:72, 30:90] = WHITE
-    for rows, color in patches:
-        rgb[rows, 30:90] = color
+    rgb[72:80, 30:90] = strip
     shot = shot_of(rgb.clip(0, 1))
     return colour_evidence([shot], [outline.astype(np.float32)], [outline], [3], shaded=shaded)[0]
 
 
 def test_a_strip_of_shaded_table_inside_the_outline_is_hardly_the_objects() -> None:
-    strip = (slice(72, 80), tuple(0.53 * c for c in BROWN))
+    strip = tuple(0.53 * c for c in BROWN)
     value = told(strip)
     assert value[74:78, 40:80].mean() > -0.6
     assert value[45:65, 40:80].mean() < -2
@@ -49,5 +49,20 @@ def test_a_strip_of_shaded_table_inside_the_outline_is_hardly_the_objects() -> N
 
 
 def test_a_dark_foot_of_another_colour_stays_the_objects() -> None:
-    value = told((slice(72, 80), (0.1, 0.1, 0.3)))
+    value = told((0.1, 0.1, 0.3))
     assert value[74:78, 40:80].mean() < -2
+
+
+@pytest.mark.parametrize(
+    ("light", "share"),
+    [
+        (None, SHADED),
+        (Lighting("world"), SHADED),
+        (Lighting("flash"), 0),
+        (Lighting("turntable"), 0),
+    ],
+)
+def test_darker_shades_count_in_a_still_light_before_the_last_round(
+    light: Lighting | None, share: float
+) -> None:
+    assert [level.shaded_in(light) for level in (*LEVELS, LAST)] == [share, share, 0]
