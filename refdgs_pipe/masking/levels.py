@@ -35,7 +35,7 @@ class Level:
     shaded: float = SHADED
 
     def shaded_in(self, light: Lighting | None) -> float:
-        """`shaded` in a light that stands still with the object; 0 under a flash, on a turntable."""
+        """`shaded` in a light that stands still with the object, else 0."""
         return self.shaded if light is None or light.kind == "world" else 0.0
 
 
