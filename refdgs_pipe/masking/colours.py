@@ -10,27 +10,16 @@ BINS = 20  # along each axis of Lab
 RARE = 2e-5  # probability of a colour that was never seen
 LIMIT = 2.5
 OWN = 0.7  # how much a photo's own colours count beside those of all
-SHADES = (0.73, 0.53, 0.38)  # of sRGB values: half, a quarter and an eighth of the light
 
 
 def colour_evidence(
-    shots: list[Shot],
-    masks: list[F32],
-    outlines: list[Bools],
-    band: list[int],
-    *,
-    shaded: float = 0.0,
+    shots: list[Shot], masks: list[F32], outlines: list[Bools], band: list[int]
 ) -> list[F32]:
     """(H, W) log odds of background for each photo, by what lies in and around its outline.
-
-    Ground below an overhang lies in the object's shade. It looks like nothing beside the outline,
-    and an outline that covers it makes its colour one of the object's. So what lies round the
-    object may count in darker shades too.
 
     Args:
         masks: (H, W) in [0, 1]; outlines: (H, W) silhouettes of the solid.
         band: pixels; surroundings reach six times as far.
-        shaded: share of the surroundings that counts in darker shades.
     """
     labs = [_lab(shot.rgb) for shot in shots]
     inner = [
@@ -42,24 +31,17 @@ def colour_evidence(
         return [np.zeros(mask.shape, np.float32) for mask in masks]
     common = np.mean(found, 0)
     out = []
-    given = zip(shots, labs, masks, outlines, band, strict=True)
-    for shot, lab, mask, outline, reach in given:
+    for lab, mask, outline, reach in zip(labs, masks, outlines, band, strict=True):
         core = _histogram(lab, grown(outline, -2) & (mask > 0.5))
         around = grown(outline, 6 * reach) & ~grown(outline, 2) | outline & (mask <= 0.5)
-        if not around.any():
+        behind = _histogram(lab, around)
+        if behind is None:
             out.append(np.zeros(mask.shape, np.float32))
             continue
-        behind = _with_shades(shot.rgb[around], shaded)
         own = common if core is None else OWN * core + (1 - OWN) * common
         odds = np.log((_looked_up(behind, lab) + RARE) / (_looked_up(own, lab) + RARE))
         out.append(odds.clip(-LIMIT, LIMIT).astype(np.float32))
     return out
-
-
-def _with_shades(rgb: F32, shaded: float) -> F32:
-    """The histogram of sRGB colours (N, 3), a share of it as dark as in shade."""
-    lit, *dark = (_counted(_lab(rgb[None] * np.float32(shade))[0]) for shade in (1.0, *SHADES))
-    return np.asarray((1 - shaded) * lit + shaded * np.mean(dark, 0), np.float32)
 
 
 def _lab(rgb: F32) -> F32:
@@ -75,13 +57,10 @@ def _bins(lab: F32) -> tuple[np.ndarray, ...]:
 
 
 def _histogram(lab: F32, where: Bools) -> F32 | None:
-    return _counted(lab[where]) if where.any() else None
-
-
-def _counted(lab: F32) -> F32:
-    """The shares of the bins, of colours (N, 3)."""
+    if not where.any():
+        return None
     counts = np.zeros((BINS,) * 3)
-    np.add.at(counts, _bins(lab), 1.0)
+    np.add.at(counts, _bins(lab[where]), 1.0)
     spread = gaussian_filter(counts, 0.8)
     return np.asarray(spread / spread.sum(), np.float32)
 

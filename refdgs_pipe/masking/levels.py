@@ -2,10 +2,7 @@
 
 from dataclasses import dataclass
 
-from refdgs_pipe.artifacts.lighting import Lighting
 from refdgs_pipe.masking.table import BLUR, Blur
-
-SHADED = 0.3  # of the surroundings' colours, before the last round
 
 
 @dataclass(frozen=True)
@@ -21,7 +18,6 @@ class Level:
         growth: cells by which a mask is widened before it denies.
         weight: of the evidence against the outline, for a pixel of a photo 400 pixels long.
         blur: of the evidence of the plane.
-        shaded: share of the surroundings' colours that counts in darker shades.
     """
 
     side: int
@@ -32,17 +28,10 @@ class Level:
     growth: float
     weight: float
     blur: Blur = BLUR
-    shaded: float = SHADED
-
-    def shaded_in(self, light: Lighting | None) -> float:
-        """`shaded` in a light that stands still with the object, else 0."""
-        return self.shaded if light is None or light.kind == "world" else 0.0
 
 
 LEVELS = (
     Level(200, 256, 64, (0.25, 0.15), 0.0, 0.9, 0.4),
     Level(400, 384, 96, (0.08, 0.06), 0.5, 0.9, 0.4),
 )
-# The first rounds remove ground in the object's shade. The last one is for edges, and a mirror's
-# foot looks like such ground.
-LAST = Level(1024, 512, 112, (0.08, 0.06), 0.2, 0.25, 0.25, (0.5, 1.3), 0.0)
+LAST = Level(1024, 512, 112, (0.08, 0.06), 0.2, 0.25, 0.25, (0.5, 1.3))

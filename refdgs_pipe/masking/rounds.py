@@ -98,7 +98,7 @@ def object_masks(
         plane: unit normal and offset, world.
         progress: told the rounds done and their number; may raise.
         threads: photos that are worked on at a time; the result does not depend on it.
-        light: a flash, whose shadow moves with it, a turntable, or a still light, as None is.
+        light: a flash, whose shadow moves with it, or a turntable; None for a still light.
     """
     found: Found | None = None
     stands = foot(views, model, plane, threads, flash=light is not None and light.lamp is not None)
@@ -169,7 +169,6 @@ class _Worker:
         self.turns = light is not None and light.kind == "turntable"
         self.level, self.ball, self.threads = level, model.ball, threads
         self.inner = INNER if level is LAST else 1.0
-        self.shaded = level.shaded_in(light)
         whole = whole_shots(views, model, level.side)
         if found is None:
             self.shots = list(whole)
@@ -266,8 +265,7 @@ class _Worker:
     def _with_colours(self, evidence: list[Evidence], found: Found) -> list[F32]:
         """(H, W) the evidence, and that of colours where it is weak; far off only one way."""
         outlines = self._parts_of(found.outlines)
-        masks = self._parts(found.masks)
-        colours = colour_evidence(self.shots, masks, outlines, self.band, shaded=self.shaded)
+        colours = colour_evidence(self.shots, self._parts(found.masks), outlines, self.band)
         out = []
         given = zip(self.shots, evidence, colours, outlines, self.band, strict=True)
         for shot, one, colour, outline, band in given:
