@@ -1,10 +1,12 @@
 """A viser server that only this machine reaches: on the loopback address, for pages of its own."""
 
+import asyncio
 import contextlib
 import io
 import re
 import socket
-from collections.abc import Iterator
+import threading
+from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from importlib.util import find_spec
@@ -16,6 +18,7 @@ HOST = "127.0.0.1"
 FIRST_PORT, PORTS = 8080, 100
 # of pages that may connect: ours, also through a tunnel. Programs that are no browser send none
 _ORIGINS = (None, re.compile(r"http://(127\.0\.0\.1|localhost)(:\d+)?"))
+_AGAIN_S = 0.02  # between two looks whether the server is built
 
 
 def check_installed() -> None:
@@ -60,7 +63,8 @@ def open_server(port: int, title: str) -> Any:
 
     viser would offer a public address through a server of its makers: that is refused. It would
     also talk to the page of any website that is open in the same browser: such pages are refused
-    by their origin (cross-site WebSocket hijacking, RFC 6455, 10.2).
+    by their origin (cross-site WebSocket hijacking, RFC 6455, 10.2). viser listens before it is
+    completely built, and a browser that came then would be turned away: it waits instead.
 
     Returns:
         viser.ViserServer.
@@ -72,15 +76,30 @@ def open_server(port: int, title: str) -> Any:
         def request_share_url(self, verbose: bool = True) -> str | None:
             return None
 
+    built = threading.Event()
     plain = websockets.asyncio.server.serve  # viser takes no origins
-    websockets.asyncio.server.serve = partial(plain, origins=_ORIGINS)
+
+    def serve(handler: Callable[[Any], Awaitable[None]], *args: Any, **options: Any) -> Any:
+        return plain(partial(_once, built, handler), *args, origins=_ORIGINS, **options)
+
+    websockets.asyncio.server.serve = serve
     try:
         with quiet():
             server = Server(host=HOST, port=port, label=title, verbose=False)
     finally:
         websockets.asyncio.server.serve = plain
     server.gui.configure_theme(show_share_button=False, show_logo=False, control_width="large")
+    built.set()
     return server
+
+
+async def _once(
+    built: threading.Event, handler: Callable[[Any], Awaitable[None]], connection: Any
+) -> None:
+    """Handle a connection as soon as the server is built."""
+    while not built.is_set():
+        await asyncio.sleep(_AGAIN_S)
+    await handler(connection)
 
 
 @contextmanager

@@ -7,6 +7,7 @@ import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -150,6 +151,36 @@ def test_no_public_address_is_made() -> None:
     finally:
         with quiet():
             server.stop()
+
+
+def test_a_browser_that_comes_while_the_server_is_built_is_served(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    infra = pytest.importorskip("viser.infra")
+    from refdgs_pipe.viewing.server import open_server, quiet
+
+    port, came, start = free_port(), threading.Event(), infra.WebsockServer.start
+    servers: list[Any] = []
+
+    def slow(server: Any) -> None:
+        start(server)
+        assert came.wait(PATIENCE_S)
+        time.sleep(0.5)  # viser has the connection by now
+
+    with monkeypatch.context() as patched:
+        patched.setattr(infra.WebsockServer, "start", slow)
+        opening = threading.Thread(target=lambda: servers.append(open_server(port, "a")))
+        opening.start()
+        _until(lambda: _answers(port))
+        browser = LightBrowser(port, look_at=MIDDLE, eye=EYE)
+        came.set()
+        opening.join(PATIENCE_S)
+    try:
+        browser.until("ThemeConfigurationMessage", patience_s=PATIENCE_S)
+        browser.close()
+    finally:
+        with quiet():
+            servers[0].stop()
 
 
 def test_a_port_in_use_is_refused_and_another_one_found() -> None:
