@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from refdgs_pipe.camera import Camera
+from refdgs_pipe.ray_casting import Solid
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -135,3 +136,47 @@ def _similarity(source: F64, target: F64, weights: F64) -> F64:
     out[:3, :3] = scale * rotation
     out[:3, 3] = (w * target).sum(0) - scale * rotation @ (w * source).sum(0)
     return out
+
+
+def hit_depth(solid: Solid, camera: Camera) -> F32:
+    """(H, W) camera z, world units, where the rays through the pixels' centres meet; else 0."""
+    rays = camera.pixel_rays().reshape(-1, 3) @ camera.cam_from_world[:3, :3]
+    hits = solid.first(camera.center.astype(np.float32), rays.astype(np.float32))
+    depth = np.zeros(len(rays), np.float32)
+    depth[hits.rays] = hits.distance
+    return depth.reshape(camera.height, camera.width)
+
+
+def outline_distance(covered: NDArray[np.bool_]) -> F32:
+    """(H, W) pixels from each pixel's centre to the outline of what is covered, negative outside.
+
+    Zero lies between the pixels on both sides.
+    """
+    import cv2
+
+    solid = covered.astype(np.uint8)
+    within = cv2.distanceTransform(solid, cv2.DIST_L2, 5)
+    beyond = cv2.distanceTransform(1 - solid, cv2.DIST_L2, 5)
+    return np.asarray(np.where(covered, within - 0.5, 0.5 - beyond), np.float32)
+
+
+def spread_over(
+    vertices: F64, faces: NDArray[np.int32], count: int, seed: int
+) -> tuple[NDArray[np.int64], F64]:
+    """Places spread evenly over a mesh's area; the same for the same mesh and seed.
+
+    Returns:
+        (count,) their faces and (count, 3) weights of the faces' corners; none if the mesh has no
+        area.
+    """
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    total = areas.sum()
+    if not total > 0:
+        return np.zeros(0, np.int64), np.zeros((0, 3))
+    chance = np.random.default_rng(seed)
+    places = (np.arange(count) + chance.random()) / count  # evenly along the heap of triangles
+    face = np.searchsorted(np.cumsum(areas) / total, places).clip(max=len(areas) - 1)
+    u, v = chance.random((2, count))
+    root = np.sqrt(u)  # Osada et al. 2002, section 3.1
+    return face, np.stack([1 - root, root * (1 - v), root * v], axis=1)

@@ -72,6 +72,15 @@ class Solid:
         fields = ("rays", "face", "weights", "distance")
         return Hits(*(np.concatenate([getattr(part, name) for part in parts]) for name in fields))
 
+    def nearest(self, points: F32) -> tuple[Ints, F32]:
+        """The places of the mesh that are nearest to points (N, 3): (N,) faces, (N, 3) weights."""
+        found = self._scene.compute_closest_points(
+            self._tensor(np.ascontiguousarray(points, np.float32))
+        )
+        b, c = found["primitive_uvs"].numpy().T
+        weights = np.stack([1 - b - c, b, c], 1).astype(np.float32)
+        return found["primitive_ids"].numpy().astype(np.int64), weights
+
 
 def at_hits(values: F32, faces: NDArray[np.int32], face: Ints, weights: F32) -> F32:
     """(N, C) values given per vertex (V, C), at places in faces."""

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from refdgs_pipe.artifacts.masks import Masks
+from refdgs_pipe.artifacts.photos import Photo
 from refdgs_pipe.artifacts.sparse_model import Ball, SparseModel
+from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.pipeline.events import Event, Measured, Warned
 from refdgs_pipe.pipeline.stage import Job
@@ -62,3 +64,14 @@ def show(monkeypatch: pytest.MonkeyPatch, view: Any) -> None:
     monkeypatch.setattr(
         "refdgs_pipe.training.render.render_surface_map", lambda field, camera, **_: view(camera)
     )
+
+
+def show_photos(monkeypatch: pytest.MonkeyPatch, view: Any) -> None:
+    """Let `view(camera)` stand for photos without masks too."""
+
+    def photo(views: Views, model: SparseModel, camera: Camera, *, scale: float = 1.0) -> Photo:
+        sized = camera.resized(round(camera.width * scale), round(camera.height * scale))
+        color = view(sized).color
+        return Photo(sized, color, None, np.ones(color.shape[:2], bool))
+
+    monkeypatch.setattr("refdgs_pipe.artifacts.photos.load_photo", photo)

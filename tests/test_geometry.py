@@ -8,6 +8,8 @@ from refdgs_pipe.color import fractions, srgb_from_linear, srgb_slope
 from refdgs_pipe.geometry import (
     homography_warp,
     one_sided,
+    outline_distance,
+    spread_over,
     through_plane,
     widest_stretch,
     y_up_from_z_up,
@@ -112,3 +114,20 @@ def test_a_ball_around_the_camera_is_everywhere_and_one_aside_nowhere() -> None:
     assert camera.box_of(camera.center, 0.5) == (0, camera.width, 0, camera.height)
     assert camera.box_of(np.array([2.0, 40.0, 0.0]), 0.5) is None
     assert camera.frame(np.array([2.0, 40.0, 0.0]), 0.5) == (0, camera.width, 0, camera.height)
+
+
+def test_an_outline_lies_between_the_pixels_on_both_sides() -> None:
+    covered = np.zeros((5, 9), bool)
+    covered[:, 4:] = True
+    np.testing.assert_allclose(outline_distance(covered)[2], np.arange(9) - 3.5, atol=1e-6)
+
+
+def test_places_are_spread_evenly_over_the_area_of_a_mesh() -> None:
+    corners = np.array([[0, 0, 0], [3, 0, 0], [3, 1, 0], [0, 1, 0], [0, 2, 0]], float)
+    faces = np.array([[0, 1, 2], [0, 2, 3], [3, 2, 4]], np.int32)  # areas 3 : 3 : 3
+    face, weights = spread_over(corners, faces, 3000, 0)
+    np.testing.assert_allclose(np.bincount(face) / 3000, [1 / 3] * 3, atol=1e-3)
+    np.testing.assert_allclose(weights.sum(1), 1, atol=1e-12)
+    assert (weights >= 0).all() and np.abs(weights.mean(0) - 1 / 3).max() < 0.02
+    flat, _ = spread_over(corners * 0, faces, 10, 0)
+    assert len(flat) == 0

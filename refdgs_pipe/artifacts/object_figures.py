@@ -23,7 +23,7 @@ class ObjectFigures:
             sees something behind.
         unexplained: share of the surface where photos agree neither on its colour nor on what it
             would mirror.
-        seen: share of the surface that photos saw well; unseen: that none saw.
+        seen: share of the surface whose shape photos tell well; unseen: that none saw.
         holes: open rims without a single one round the bottom; hole_length: theirs, in diagonals.
         parts: loose pieces that are smaller than a twentieth of the surface; part_share: their
             share of the surface.

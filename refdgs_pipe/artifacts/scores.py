@@ -56,6 +56,8 @@ class SurfaceScore:
             large as a tenth of the diagonal.
         left_out: share of the mesh's points that lie too far off and do not count, where the mesh
             may hold more than the object.
+        confidence_rank: Spearman's correlation of the mesh's distances from the truth with the
+            lack of confidence there; 1: the less confident, the further off.
     """
 
     diagonal: float
@@ -70,6 +72,7 @@ class SurfaceScore:
     worst_accuracy: float | None = None
     worst_completeness: float | None = None
     left_out: float | None = None
+    confidence_rank: float | None = None
 
     def percent(self, length: float | None) -> float | None:
         """A length in percent of the diagonal."""
@@ -178,7 +181,13 @@ class Scores:
         """Everything as JSON has it, with the means and percentages that `load` leaves out."""
         surface = None
         if self.surface is not None:
-            shares = ("diagonal", "f_score_half_percent", "f_score_one_percent", "left_out")
+            shares = (
+                "diagonal",
+                "f_score_half_percent",
+                "f_score_one_percent",
+                "left_out",
+                "confidence_rank",
+            )
             lengths = [name for name in asdict(self.surface) if name not in shares]
             percent = {
                 f"{name}_percent": self.surface.percent(getattr(self.surface, name))

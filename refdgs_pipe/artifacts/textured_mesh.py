@@ -35,7 +35,8 @@ class TexturedMesh:
         metallic: (S, S) linear.
         occlusion: (S, S) linear; 1 where nothing of the object is in front of the surface.
         normal: (S, S, 3) tangent space, n * 0.5 + 0.5.
-        confidence: (S, S) linear; 0 where no camera saw the surface and colours are filled in.
+        confidence: (S, S) linear; how certain the shape is (`texture.trust`); 0 where no camera saw
+            the surface and colours are filled in.
     """
 
     mesh: UvMesh

@@ -18,6 +18,7 @@ READ_MPX_S = 0.02  # to read a megapixel of a photo
 FEATURE_MPX_S, PAIR_S, PLACE_S = 1.0, 0.05, 0.5  # for a megapixel, a pair, a photo
 EXHAUSTIVE_UP_TO, PARTNERS = 150, 15  # photos; each photo's partners above
 SURFACE_S, TEXEL_S = 120.0, 15e-6  # mesh and materials; a texel of the textures
+LOOK_S = 0.3  # to compare the shape with a photo
 DETAIL_MPX_S, DETAIL_TEXEL_S = 1.2, 4e-7  # fine detail: a megapixel, and a texel, for each photo
 GATE_S, MASK_S = 8.0, 4.0  # to check the cameras; to find the object in a photo
 START_S = 30.0  # to find a first shape, without masks
@@ -114,11 +115,12 @@ def works(size: Capture, settings: Settings) -> dict[str, float]:
 def _baking(size: Capture, settings: Settings) -> float:
     """Core-seconds of the textures."""
     side = settings["bake"].size
+    looked = size.photos * LOOK_S
     if not settings["bake"].detail:
-        return float(side**2 * TEXEL_S)
+        return float(side**2 * TEXEL_S + looked)
     read = _pixels(size.shape, settings["ingest"].max_side, size.megapixels)
     each = read * DETAIL_MPX_S + side**2 * DETAIL_TEXEL_S
-    return float(min(side, PAINTED_SIDE) ** 2 * TEXEL_S + size.photos * each)
+    return float(min(side, PAINTED_SIDE) ** 2 * TEXEL_S + looked + size.photos * each)
 
 
 def _training(size: Capture, settings: Settings) -> dict[str, float]:

@@ -117,6 +117,9 @@ def _surface_rows(surface: dict[str, Any], notes: dict[str, str]) -> list[tuple[
     if surface["left_out"]:
         words = "share of the mesh that lies too far off to count"
         rows.append(_row("  left out", surface["left_out"], "", 4, words, None))
+    if surface["confidence_rank"] is not None:
+        words = "rank correlation of its lack with the distance; 1 is the right order"
+        rows.append(_row("confidence", surface["confidence_rank"], "", 3, words, None))
     return rows
 
 

@@ -20,6 +20,7 @@ from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.evaluation.wholeness import height_above, loose_parts, open_holes, seen_shares
+from refdgs_pipe.geometry import hit_depth
 from refdgs_pipe.irradiance import links_of
 from refdgs_pipe.metrics import psnr
 from refdgs_pipe.mirrored import Glimpse, unexplained
@@ -171,15 +172,6 @@ class Witness:
             return None
         apart = 100 * np.abs(there - maps.depth)[both] / self._diagonal
         return float(np.minimum(apart, _WORST).mean())
-
-
-def hit_depth(solid: Solid, camera: Camera) -> F32:
-    """(H, W) camera z, world units, where the rays through the pixels' centres meet; else 0."""
-    rays = camera.pixel_rays().reshape(-1, 3) @ camera.cam_from_world[:3, :3]
-    hits = solid.first(camera.center.astype(np.float32), rays.astype(np.float32))
-    depth = np.zeros(len(rays), np.float32)
-    depth[hits.rays] = hits.distance
-    return depth.reshape(camera.height, camera.width)
 
 
 def over_white(photo: Photo) -> F32:

@@ -341,6 +341,7 @@ def _score_surface(subject: Subject, longest: int) -> tuple[SurfaceScore | None,
         _training_cameras(subject, longest),
         None if files.mesh is None else read_true_mesh(files.mesh),
         None if files.points is None else read_true_points(files.points),
+        textured=subject.textured,
     )
     return found, None if found else "no training camera sees the mesh, or none the true surface"
 
@@ -363,6 +364,7 @@ def _score_surface_by_cameras(
         truth,
         paper=False,
         among_others=subject.views.background == "photo",
+        textured=subject.textured,
     )
     return found, None if found else "no training camera sees a mesh near the true surface"
 

@@ -8,8 +8,11 @@ from numpy.typing import NDArray
 
 from refdgs_pipe.artifacts.mesh import TriangleMesh
 from refdgs_pipe.artifacts.scores import SurfaceScore
+from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
 from refdgs_pipe.camera import Camera
-from refdgs_pipe.metrics import SurfaceDistances, nearest, worst_part
+from refdgs_pipe.evaluation.wholeness import confidence_at
+from refdgs_pipe.geometry import spread_over
+from refdgs_pipe.metrics import SurfaceDistances, nearest, rank_correlation, worst_part
 
 F64 = NDArray[np.float64]
 
@@ -98,6 +101,7 @@ def score_surface(
     *,
     paper: bool = True,
     among_others: bool = False,
+    textured: TexturedMesh | None = None,
 ) -> SurfaceScore | None:
     """Compare a mesh with the true one, all in one world frame.
 
@@ -108,6 +112,7 @@ def score_surface(
         paper: whether there is a figure in the paper's protocol, whose grid has the world's unit.
         among_others: the mesh also holds what the object stands on, which the truth does not: the
             samples of the mesh that are further than NEIGHBOURHOOD from the truth do not count.
+        textured: the mesh with its textures, whose confidence is compared with the distances.
 
     Returns:
         None if the cameras see nothing of the mesh, or of the truth.
@@ -131,6 +136,7 @@ def score_surface(
         samples, to_truth = samples[near], to_truth[near]
         if not near.any():
             return None
+    doubt = None if textured is None else -confidence_at(textured, samples)
     between = SurfaceDistances(to_truth, result.distances(true_samples))
     return SurfaceScore(
         diagonal,
@@ -145,6 +151,7 @@ def score_surface(
         f_score_half_percent=between.f_score(0.005 * diagonal),
         f_score_one_percent=between.f_score(0.01 * diagonal),
         left_out=1 - float(near.mean()) if among_others else None,
+        confidence_rank=None if doubt is None else rank_correlation(doubt, to_truth),
     )
 
 
@@ -160,17 +167,9 @@ def _between_points(points: F64, others: F64) -> float:
 
 def sampled(mesh: TriangleMesh, count: int, seed: int) -> F64:
     """(count, 3) points spread evenly over a mesh's area; the same for the same mesh and seed."""
-    a, b, c = (mesh.vertices[mesh.faces[:, i]].astype(np.float64) for i in range(3))
-    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    total = areas.sum()
-    if not total > 0:
-        return np.zeros((0, 3))
-    chance = np.random.default_rng(seed)
-    places = (np.arange(count) + chance.random()) / count  # evenly along the heap of triangles
-    face = np.searchsorted(np.cumsum(areas) / total, places).clip(max=len(areas) - 1)
-    u, v = chance.random((2, count, 1))
-    root = np.sqrt(u)  # Osada et al. 2002, section 3.1
-    return np.asarray((1 - root) * a[face] + root * (1 - v) * b[face] + root * v * c[face])
+    vertices = mesh.vertices.astype(np.float64)
+    face, weights = spread_over(vertices, mesh.faces, count, seed)
+    return np.asarray(np.einsum("nk,nkc->nc", weights, vertices[mesh.faces[face]]))
 
 
 def _worst(points: F64, distances: F64, diagonal: float) -> float:

@@ -175,16 +175,17 @@ _ASPECTS = (
         ),
     ),
     _Aspect(
-        "surface seen well by photos",
+        "surface whose shape is well known",
         lambda e: e.seen,
-        0.3,
-        0.6,
+        0.45,
+        0.75,
         lambda e: f"{e.seen:.0%}, nobody saw {e.unseen:.0%}",
-        "take photos of the sides that the section Coverage of the report shows in red",
+        "take more photos of the places that the section Coverage of the report shows in red and "
+        "yellow",
         (
-            "Much of the surface is in too few photos",
-            "Some of the surface is in few photos",
-            "The photos show nearly all of the surface well",
+            "The shape of much of the surface is a guess",
+            "The shape of some of the surface is a guess",
+            "The photos tell the shape of nearly all of the surface",
         ),
     ),
     _Aspect(

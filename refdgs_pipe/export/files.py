@@ -61,7 +61,7 @@ def writers(around: Surroundings | None = None, *, preview: int) -> list[Write]:
 
 
 def textures(folder: Path, product: Product) -> None:
-    """The pictures that USDC and OBJ refer to, and what photos saw of each texel."""
+    """The pictures that USDC and OBJ refer to, and how certain the shape is at each texel."""
     (folder / _TEXTURES).mkdir(exist_ok=True)
     for name, content in (
         ("base_color.jpg", jpeg(product.base_color)),

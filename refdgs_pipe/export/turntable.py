@@ -19,7 +19,7 @@ _SUPERSAMPLING = 2
 _CLAY = np.array([0.80, 0.82, 0.85], np.float32)  # sRGB
 _LINE = np.array([0.05, 0.16, 0.36], np.float32)
 _LINE_WIDTH = 0.55  # half of it, in pixels
-# What photos saw, sRGB: nothing, little, much; and the inside of the surface, through a hole.
+# How certain the shape is, sRGB: in no photo, a guess, certain; and the inside, through a hole.
 UNSEEN = np.array([0.84, 0.19, 0.19], np.float32)
 LITTLE = np.array([0.98, 0.75, 0.24], np.float32)
 MUCH = np.array([0.12, 0.51, 0.59], np.float32)
@@ -50,7 +50,7 @@ def render_close_up(product: Product, *, side: int, zoom: float) -> Turn:
 
 
 def render_coverage(product: Product, *, count: int, side: int) -> list[U8]:
-    """(side, side, 4) pictures from `count` sides of what photos saw: see the colours above."""
+    """(side, side, 4) pictures from `count` sides: how certain the shape is, in these colours."""
     azimuths = [2 * np.pi * i / count for i in range(count)]
     reach = max(reach_around(product, azimuth) for azimuth in azimuths)
     pictures = []

@@ -32,7 +32,7 @@ _SHOWN = [  # value in report.js, label
     ("rough", "roughness"),
     ("metal", "metal"),
     ("normal", "surface direction"),
-    ("seen", "how well photos saw it"),
+    ("seen", "how certain its shape is"),
 ]
 _TEXTURE, _MAP, _LIGHT = 1024, 512, 128  # px, of an embedded GLB, of the page, of its light
 
@@ -107,7 +107,7 @@ def _radios(name: str, legend: str, options: list[tuple[str, str]]) -> Html:
 
 
 def _seen(folder: Path) -> str | None:
-    """How well photos saw each place of the texture, as a small picture."""
+    """How certain the shape is at each place of the texture, as a small picture."""
     pixels = cv2.imread(str(folder / "textures" / "confidence.png"), cv2.IMREAD_GRAYSCALE)
     return None if pixels is None else webp(np.asarray(fitted(pixels, _MAP), np.uint8))
 

@@ -1,4 +1,4 @@
-"""What photos saw of the surface, and where it has holes."""
+"""How certain the surface is, and where it has holes."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +18,11 @@ _FRAMES, _FRAME, _MAP = 4, 300, 512
 
 
 def coverage(facts: Facts, _: Drawing) -> Html:
-    """The mesh and its atlas, coloured by what photos saw of them; holes."""
+    """The mesh and its atlas, coloured by how certain their shape is; holes."""
     textured = facts.load(TexturedMesh)
     sides = render_coverage(product_of(facts), count=_FRAMES, side=_FRAME)
     pictures = [
-        image(webp(side), f"what photos saw, side {i}", (_FRAME, _FRAME))
+        image(webp(side), f"how certain the shape is, side {i}", (_FRAME, _FRAME))
         for i, side in enumerate(sides, 1)
     ]
     side = min(_MAP, textured.size)
@@ -38,11 +38,11 @@ def coverage(facts: Facts, _: Drawing) -> Html:
     rows = [
         ("in no photo: its colour is filled in from beside it", trust == 0, UNSEEN),
         (
-            "in few photos, at a slant, or different from photo to photo",
+            "a guess: few photos show it, or neither an outline nor fine detail tells its shape",
             few,
             LITTLE,
         ),
-        ("in photos well", trust >= WELL, MUCH),
+        ("known well", trust >= WELL, MUCH),
     ]
     shares: list[tuple[Html | str, ...]] = [
         (joined(_swatch(color), f" {name}"), f"{there.mean() if len(there) else 0:.1%}")
@@ -51,7 +51,7 @@ def coverage(facts: Facts, _: Drawing) -> Html:
     shares.append((joined(_swatch(INSIDE), " the inside, through a hole"), _holes(textured)))
     label = "the texture, in the same colours"
     picture = np.round(atlas.reshape(side, side, 4) * 255).astype(np.uint8)
-    words = "Red and yellow parts need more photos from that side."
+    words = "More photos of red and yellow parts help, from several heights."
     return joined(
         tag("p", words),
         tag("div", *pictures, class_="quad"),

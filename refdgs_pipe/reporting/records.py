@@ -125,6 +125,8 @@ def _surface(found: Scores) -> list[tuple[Content, ...]]:
         rows.append((f"F-score, {part}", words, meanings.F_SCORE))
     if surface.left_out:
         rows.append(("left out, too far off", f"{surface.left_out:.1%}", meanings.LEFT_OUT))
+    if surface.confidence_rank is not None:
+        rows.append(("order of confidence", f"{surface.confidence_rank:.3f}", meanings.CONFIDENCE))
     return rows
 
 

@@ -20,6 +20,7 @@ from refdgs_pipe.artifacts.mesh import RawMesh, TriangleMesh
 from refdgs_pipe.artifacts.sparse_model import Ball
 from refdgs_pipe.artifacts.surface_map import SurfaceMap
 from refdgs_pipe.camera import Camera
+from refdgs_pipe.geometry import outline_distance
 from refdgs_pipe.irradiance import links_of
 from refdgs_pipe.surface.rims import rim_of
 from refdgs_pipe.surface.topology import compacted
@@ -57,10 +58,7 @@ class Glance:
         size = (camera.width, camera.height)
         covered = cv2.resize(view.alpha.astype(np.float32), size, interpolation=cv2.INTER_AREA)
         # Linear between the pixels on both sides, so that the outline is not on a raster.
-        solid = (covered >= min_alpha).astype(np.uint8)
-        out = cv2.distanceTransform(1 - solid, cv2.DIST_L2, 5)
-        into = cv2.distanceTransform(solid, cv2.DIST_L2, 5)
-        beside = np.where(solid, 0.5 - into, out - 0.5).astype(np.float32)
+        beside = -outline_distance(covered >= min_alpha)
         near = cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST)
         return cls(camera, np.asarray(near, np.float32), beside)
 

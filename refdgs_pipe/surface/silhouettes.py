@@ -15,6 +15,7 @@ from scipy.sparse.linalg import cg
 
 from refdgs_pipe.artifacts.mesh import TriangleMesh
 from refdgs_pipe.camera import Camera
+from refdgs_pipe.geometry import hit_depth, outline_distance
 from refdgs_pipe.ray_casting import Solid
 
 F32 = NDArray[np.float32]
@@ -43,11 +44,7 @@ class Outline:
     @classmethod
     def of(cls, camera: Camera, covered: NDArray[np.bool_]) -> "Outline":
         """From the pixels (H, W) that are covered."""
-        solid = covered.astype(np.uint8)
-        within = cv2.distanceTransform(solid, cv2.DIST_L2, 5)
-        beyond = cv2.distanceTransform(1 - solid, cv2.DIST_L2, 5)
-        inside = np.where(solid > 0, within - 0.5, 0.5 - beyond)
-        return cls(camera, inside.astype(np.float32))
+        return cls(camera, outline_distance(covered))
 
     def at(self, pixels: F64) -> F32:
         """(N,) the distances at pixel coordinates (N, 2)."""
@@ -56,11 +53,7 @@ class Outline:
     @classmethod
     def of_mesh(cls, camera: Camera, solid: Solid) -> "Outline":
         """Where a mesh would be seen."""
-        rays = camera.pixel_rays().reshape(-1, 3) @ camera.cam_from_world[:3, :3]
-        covered = np.zeros(len(rays), bool)
-        hits = solid.first(camera.center.astype(np.float32), rays.astype(np.float32))
-        covered[hits.rays] = True
-        return cls.of(camera, covered.reshape(camera.height, camera.width))
+        return cls.of(camera, hit_depth(solid, camera) > 0)
 
 
 def outline_pull(

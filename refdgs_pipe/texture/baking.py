@@ -32,13 +32,11 @@ class Surface:
 
     Args:
         diffuse: (N, 3) linear; normal: (N, 3) unit, world.
-        confidence: (N,) 0 where no view saw the point, towards 1 for many that agree.
         seen: (N,) whether any view did.
     """
 
     diffuse: F32
     normal: F32
-    confidence: F32
     seen: NDArray[np.bool_]
 
 
@@ -57,7 +55,7 @@ class Gather:
         count = len(points)
         self._weights = np.zeros((count, keep), np.float32)
         self._samples = np.zeros((count, keep, _CHANNELS), np.float16)
-        self._total = np.zeros(count, np.float32)
+        self._seen = np.zeros(count, bool)
 
     def add(self, view: SurfaceMap) -> int:
         """Take what one view shows; gives how many points it sees."""
@@ -66,7 +64,7 @@ class Gather:
             return 0
         values = np.concatenate([_sharpened(view.diffuse), view.normal], -1)
         samples = bilinear(values, pixels)
-        self._total[rows] += weights
+        self._seen[rows] = True
         worst = self._weights[rows].argmin(1)
         better = weights > self._weights[rows, worst]
         rows, worst = rows[better], worst[better]
@@ -82,26 +80,24 @@ class Gather:
         """
         points, normals = self._points.points, self._points.normals
         count = len(points)
-        seen = self._total > 0
+        seen = self._seen
         if not seen.any():
             raise MeshError(
                 "no view shows any part of the mesh: the mesh and the cameras do not belong "
                 "together. Run extract again, or drop the adopted mesh"
             )
-        values, spread = np.zeros((count, _CHANNELS), np.float32), np.zeros((count, 2), np.float32)
+        values, spread = np.zeros((count, _CHANNELS), np.float32), np.zeros((count, 1), np.float32)
         for start in range(0, count, _CHUNK):
             part = slice(start, start + _CHUNK)
             values[part], spread[part] = _combined(self._samples[part], self._weights[part])
         if not seen.all():
             values[~seen, :3] = _from_nearest(points, values[:, :3], seen)
-        doubt = (spread[:, 1:] / _NORMAL_SPREAD) ** 2
+        doubt = (spread / _NORMAL_SPREAD) ** 2
         normal = np.where(seen[:, None], values[:, 3:] + doubt * normals, normals)
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-6)
-        confidence = (1 - np.exp(-self._total / 0.7)) / (1 + (spread[:, 0] / 0.1) ** 2)
         return Surface(
             values[:, :3],
             np.asarray(normal, np.float32),
-            np.asarray(confidence, np.float32),
             seen,
         )
 
@@ -128,13 +124,12 @@ def _sharpened(picture: F32) -> F32:
 
 
 def _combined(samples: NDArray[np.float16], weights: F32) -> tuple[F32, F32]:
-    """(N, 6) robust mean of samples (N, K, 7); (N, 2) how far apart colours and normals lie.
+    """(N, 6) robust mean of samples (N, K, 6); (N, 1) how far apart the normals lie.
 
     Iteratively reweighted (Cauchy): a sample that disagrees with the others loses its weight.
     """
     values = samples.astype(np.float32)
     out = np.zeros((len(values), _CHANNELS), np.float32)
-    spread = np.zeros((len(values), 2), np.float32)
     for channels, least in ((slice(0, 3), 0.02), (slice(3, 6), 0.03)):
         part: F32 = values[..., channels]
         trust: F32 = weights
@@ -144,8 +139,7 @@ def _combined(samples: NDArray[np.float16], weights: F32) -> tuple[F32, F32]:
             trust = (weights / (1 + (apart / scale) ** 2)).astype(np.float32)
             mean, apart = _mean(part, trust)
         out[:, channels] = mean
-        spread[:, channels.start // 3] = _mean(apart[..., None], weights)[0][:, 0]
-    return out, spread
+    return out, _mean(apart[..., None], weights)[0]
 
 
 def _mean(values: F32, weights: F32) -> tuple[F32, F32]:

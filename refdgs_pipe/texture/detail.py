@@ -13,9 +13,10 @@ gloss shows mostly reflections, and in all photos they end at its edges. So deta
 as far as the matte colour is most of what photos show.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from itertools import islice
 
 import cv2
 import numpy as np
@@ -25,6 +26,7 @@ from scipy.sparse import csr_array
 from refdgs_pipe.artifacts.appearance import Appearance
 from refdgs_pipe.artifacts.mesh import UvMesh
 from refdgs_pipe.artifacts.photos import Photo
+from refdgs_pipe.artifacts.sparse_model import Ball
 from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.color import fractions, linear_from_srgb, srgb_from_linear
@@ -40,7 +42,7 @@ from refdgs_pipe.vectors import unit
 F32 = NDArray[np.float32]
 Ints = NDArray[np.int64]
 
-PASSES = 2  # over the photos: each is aligned with what the last pass found
+_PASSES = 2  # over the photos: each is aligned with what the last pass found
 _LEAST_COSINE = 0.25  # to the eye
 _BORDER = 16.0  # power of a photo's worth, by which the two best are mixed
 # Texels or pixels, whichever are larger (sigma): photos may be misplaced by that much and still
@@ -173,7 +175,9 @@ class Detail:
 def detailed(
     textured: TexturedMesh,
     looks: Appearance,
-    photos: Callable[[], Iterable[Photo]],
+    photos: Callable[[Iterable[Camera]], Iterable[Photo]],
+    cameras: list[Camera],
+    track: Callable[[list[Camera], str], Iterable[Camera]],
     *,
     size: int,
     near: float,
@@ -183,22 +187,24 @@ def detailed(
 
     Args:
         looks: the light that its vertices receive.
-        photos: gives them, once for each of the passes.
+        photos: gives those of some cameras; each is asked for once in each of the passes.
+        track: wraps the cameras and says what is done, to report progress.
         size: texels along a side of the result; smaller textures are enlarged.
         near: how far the depth of a texel may differ from that of its pixel, world units.
         threads: that work; the result does not depend on it.
     """
     mesh, whole = textured.mesh, enlarged(textured, size)
     received = looks.received[nearest(looks.points, mesh.vertices)]
+    rounds = iter(track(cameras * _PASSES, "taking detail from photos"))
 
     def one_pass(like: TexturedMesh) -> TexturedMesh:
         detail = Detail(whole, received, near=near, threads=threads, aligned_with=like)
-        for photo in photos():
+        for photo in photos(islice(rounds, len(cameras))):
             detail.add(photo)
         return detail.added()
 
     found = whole
-    for _ in range(PASSES):
+    for _ in range(_PASSES):
         found = one_pass(found)
     return found
 
@@ -252,6 +258,20 @@ def texels_of_pixel(mesh: UvMesh, size: int, camera: Camera) -> float:
     depth = camera.project(mesh.vertices.astype(np.float64))[1]
     pixel = float(np.median(depth)) / camera.K[0, 0]
     return float(pixel / max(texel, 1e-12))
+
+
+def close_ups(
+    mesh: UvMesh, load: Callable[..., Photo], size: int, ball: Ball, cameras: Iterable[Camera]
+) -> Iterator[Photo]:
+    """The part of each camera's photo that shows the object, as large as the atlas needs it.
+
+    Args:
+        load: gives a camera's photo, `scale` times as large.
+        size: texels along a side of the atlas.
+    """
+    for camera in cameras:
+        photo = load(camera, scale=scale_for(mesh, size, camera))
+        yield photo.framed(ball.center, ball.radius)
 
 
 def scale_for(mesh: UvMesh, size: int, camera: Camera) -> float:

@@ -13,6 +13,7 @@ from refdgs_pipe.color import srgb_from_linear
 from refdgs_pipe.texture.baking import Gather, Surface
 from refdgs_pipe.texture.tangents import mikktspace, tangent_space
 from refdgs_pipe.texture.texels import Texels, rasterize
+from refdgs_pipe.texture.trust import ShapeErrors
 
 F32 = NDArray[np.float32]
 
@@ -77,8 +78,11 @@ class Painter:
         """Take what one view shows."""
         self._gather.add(view)
 
-    def paint(self, looks: Appearance) -> TexturedMesh:
+    def paint(self, looks: Appearance, errors: ShapeErrors | None = None) -> TexturedMesh:
         """The textures, for materials that were told for the mesh's vertices.
+
+        Args:
+            errors: to be expected of the shape; without them, what a view saw counts as exact.
 
         Raises:
             MeshError: no view saw any part of the mesh.
@@ -86,10 +90,16 @@ class Painter:
         surface = self._gather.surface()
         self.seen_share = float(surface.seen.mean())
         made_of = materials(surface, self.mesh, self._texels, looks)
-        return _painted(self.mesh, self._texels, surface, made_of)
+        confidence = surface.seen.astype(np.float32)
+        if errors is not None:
+            points = self._texels.interpolate(self.mesh, self.mesh.vertices)
+            confidence *= errors.confidence(points)
+        return _painted(self.mesh, self._texels, surface, made_of, confidence)
 
 
-def _painted(mesh: UvMesh, texels: Texels, surface: Surface, made_of: Materials) -> TexturedMesh:
+def _painted(
+    mesh: UvMesh, texels: Texels, surface: Surface, made_of: Materials, confidence: F32
+) -> TexturedMesh:
     """The mesh with every texture filled, also between the charts."""
     tangents = mikktspace(mesh)
     normal = tangent_space(texels, mesh, tangents, surface.normal)
@@ -101,7 +111,7 @@ def _painted(mesh: UvMesh, texels: Texels, surface: Surface, made_of: Materials)
         metallic=_texture(texels, made_of.metallic),
         occlusion=_texture(texels, made_of.openness),
         normal=_texture(texels, normal * 0.5 + 0.5),
-        confidence=_texture(texels, surface.confidence),
+        confidence=_texture(texels, confidence),
     )
 
 

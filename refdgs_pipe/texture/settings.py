@@ -37,3 +37,8 @@ class BakeParams(Params):
     )
     refine: bool = Field(True, description="correct base colours by the photos, in the light found")
     detail: bool = Field(False, description="take fine detail of base colours from the photos")
+
+    @property
+    def painted_size(self) -> int:
+        """Texels along a side of what is painted from the field."""
+        return min(self.size, PAINTED_SIDE) if self.detail else self.size

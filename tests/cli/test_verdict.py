@@ -15,7 +15,7 @@ from refdgs_pipe.evaluation.verdict import Verdict, judged
 from refdgs_pipe.pipeline import catalog
 
 POOR = judged(
-    ObjectFigures(photos=20, placed=8, psnr=12.0, training_psnr=24.0, seen=0.2, unseen=0.5)
+    ObjectFigures(photos=20, placed=8, psnr=12.0, training_psnr=24.0, seen=0.4, unseen=0.3)
 )
 FAIR = judged(ObjectFigures(photos=20, placed=20, psnr=24.0, training_psnr=24.5), draft=True)
 

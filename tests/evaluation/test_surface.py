@@ -1,11 +1,14 @@
 """Meshes whose distance is known beforehand."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import solids
 from scenes import look_at, orbit
 
-from refdgs_pipe.artifacts.mesh import TriangleMesh
+from refdgs_pipe.artifacts.mesh import TriangleMesh, UvMesh
+from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.evaluation.surface import Surface, sampled, score_surface
 
@@ -126,3 +129,30 @@ def test_samples_are_even_and_repeatable() -> None:
     assert (points[:, 2] > 0.5).mean() == pytest.approx(0.2, abs=1e-3)
     assert np.abs(points[points[:, 2] < 0.5].mean(0)).max() < 0.02
     assert np.array_equal(points, sampled(mesh, 10_000, 0))
+
+
+def test_the_order_of_confidence_is_that_of_the_distances() -> None:
+    """One half of a plane lies higher; confidence is lower there, or higher."""
+    mesh = plane()
+    raised = np.where(mesh.vertices[:, :1] > 0, [[0, 0, 0.05]], 0)
+    bent = replace(mesh, vertices=(mesh.vertices + raised).astype(np.float32))
+    uv = (bent.vertices[:, :2] + 1) / 2
+    ranks = []
+    for low in ("right", "left"):
+        confidence = np.full((64, 64), 60_000, np.uint16)
+        confidence[:, 32:] = 20_000
+        if low == "left":
+            confidence = confidence[:, ::-1].copy()
+        score = score_surface(bent, FROM_ABOVE, mesh, textured=painted(bent, uv, confidence))
+        assert score is not None and score.confidence_rank is not None
+        ranks.append(score.confidence_rank)
+    assert ranks[0] > 0.8 and ranks[1] < -0.8
+
+
+def painted(mesh: TriangleMesh, uv: np.ndarray, confidence: np.ndarray) -> TexturedMesh:
+    """A mesh whose textures are plain but for one."""
+    plain = np.full_like(confidence, 30_000)
+    three = np.repeat(plain[..., None], 3, axis=2)
+    cut = UvMesh(mesh.vertices, mesh.vertex_normals(), uv.astype(np.float32), mesh.faces)
+    tangents = np.tile(np.float32([1, 0, 0, 1]), (len(mesh.vertices), 1))
+    return TexturedMesh(cut, tangents, three, plain, plain, plain, three, confidence)

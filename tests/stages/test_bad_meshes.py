@@ -19,7 +19,7 @@ from solids import (
     with_flat_face,
     with_nan,
 )
-from stage_runs import FIELD, NO_MASKS, Run, model_of, show
+from stage_runs import FIELD, NO_MASKS, Run, model_of, show, show_photos
 
 from refdgs_pipe.artifacts.mesh import CleanMesh, Mesh, RawMesh, TriangleMesh, UvMesh
 from refdgs_pipe.artifacts.sparse_model import Ball
@@ -39,6 +39,7 @@ MODEL = model_of(orbit(12), Ball(np.zeros(3), 1.2))
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
     show(monkeypatch, SCENE.surface_map)
+    show_photos(monkeypatch, SCENE.surface_map)
     return Run(tmp_path)
 
 

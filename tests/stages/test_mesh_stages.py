@@ -12,7 +12,7 @@ import pytest
 import truth
 from scenes import Box, glossy_pair, gradient_sky, orbit, waves
 from scenes import Scene as Procedural
-from stage_runs import FIELD, NO_MASKS, Run, model_of, show
+from stage_runs import FIELD, NO_MASKS, Run, model_of, show, show_photos
 
 from refdgs_pipe.artifacts.asset import Asset
 from refdgs_pipe.artifacts.mesh import Mesh, RawMesh, UvMesh
@@ -49,6 +49,7 @@ def baked(run: Run, mesh: Mesh, model: SparseModel, *, size: int) -> TexturedMes
 def test_a_procedural_scene_becomes_files(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = glossy_pair()
     show(monkeypatch, scene.surface_map)
+    show_photos(monkeypatch, scene.surface_map)
     model = model_of(orbit(24), Ball(np.zeros(3), 1.2))
     raw: RawMesh = run("extract", FIELD, model, voxel=0.01)
     mesh: Mesh = run("fit", run("clean", raw, FIELD, model, faces=8000), FIELD, model)
@@ -90,6 +91,7 @@ def test_a_procedural_scene_becomes_files(run: Run, monkeypatch: pytest.MonkeyPa
 def test_what_the_user_should_know_is_said(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = Procedural((glossy_pair().solids[0],), gradient_sky)
     show(monkeypatch, scene.surface_map)
+    show_photos(monkeypatch, scene.surface_map)
     above = [c for c in orbit(30) if c.center[2] > 1]
     model = model_of(above, Ball(np.zeros(3), 1.2))
     whole = model_of(orbit(30), Ball(np.zeros(3), 1.2))
@@ -172,7 +174,7 @@ def test_noise_in_photos_is_no_detail(
     looks = finished.appearance(mesh.vertices)
     looks = looks if lit else replace(looks, environment=None)
     atlas = run("unwrap", mesh)
-    monkeypatch.setattr(import_module("refdgs_pipe.stages.bake"), "PAINTED_SIDE", 128)
+    monkeypatch.setattr("refdgs_pipe.texture.settings.PAINTED_SIDE", 128)
     given = (atlas, looks, FIELD, model, noise(run.folder, model), NO_MASKS)
     textures = [
         run("bake", *given, size=256, refine=False, detail=detail) for detail in (False, True)
@@ -204,6 +206,7 @@ def test_true_maps_give_the_true_asset(
     # Measured with 16 views of 320 px: surface 0.06 to 0.11 voxels, colour 0.006 to 0.022 (sharp
     # patterns at 2 texels a pixel), normals 0.3 to 0.5 degrees against 1.5 to 1.9 of the mesh.
     show(monkeypatch, lambda camera: truth.surface_map(name, camera))
+    show_photos(monkeypatch, lambda camera: truth.surface_map(name, camera))
     model = truth.sparse_model(name)
     raw = run("extract", FIELD, model)
     mesh = run("fit", run("clean", raw, FIELD, model), FIELD, model)

@@ -65,7 +65,7 @@ for (const turn of document.querySelectorAll(".turn")) {
     rough: "White is rough, black is a mirror.",
     metal: "White is metal.",
     normal: "The colour says where the surface faces, as you see it.",
-    seen: "White: photos saw it well. Black: no photo saw it, and its colour is a guess.",
+    seen: "White: the photos tell its shape. Dark: its shape is a guess. Black: no photo saw it, and its colour is a guess too.",
   };
 
   function materials(view) {
