@@ -21,7 +21,7 @@ SURFACE_S, TEXEL_S = 120.0, 15e-6  # mesh and materials; a texel of the textures
 LOOK_S = 0.3  # to compare the shape with a photo
 DETAIL_MPX_S, DETAIL_TEXEL_S = 1.2, 4e-7  # fine detail: a megapixel, and a texel, for each photo
 GATE_S, MASK_S = 8.0, 4.0  # to check the cameras; to find the object in a photo
-START_S = 30.0  # to find a first shape, without masks
+START_S, VOLUME_S = 30.0, 0.1  # to find a first shape, without masks; a step of the volume
 _SURFACE_SHARES = {
     "extract": 0.08,
     "clean": 0.03,
@@ -133,7 +133,8 @@ def _training(size: Capture, settings: Settings) -> dict[str, float]:
     side = min(of("max_side"), settings["ingest"].max_side)
     step = STEP_S + STEP_MPX_S * _pixels(size.shape, side, size.megapixels)
     step *= max(of("max_surfels") / SURFELS, 0.25) * (1.0 if of("reflection") else PLAIN)
-    whole, start = of("iterations") * step, 0.0 if size.has_masks else START_S
+    start = of("volume_steps") * VOLUME_S + (0.0 if size.has_masks else START_S)
+    whole = of("iterations") * step
     if "refine" not in settings:
         return {"train": start + whole}
     before = min(of("renew_at"), 1.0)

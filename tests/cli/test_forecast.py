@@ -61,11 +61,23 @@ def test_fine_detail_takes_longer_the_more_photos_there_are() -> None:
         size = Capture(photos, 12.0, 0.75, is_known=False, has_masks=False)
         return works(size, recipe.resolve(recipe.load(name), [], models))["bake"]
 
-    assert bake("glossy", 60) == bake("glossy", 20)
+    looked = bake("glossy", 60) - bake("glossy", 20)
+    assert looked == pytest.approx(40 * cost.LOOK_S)
     assert bake("detail", 60) - bake("detail", 20) == pytest.approx(
         2 * (bake("detail", 40) - bake("detail", 20))
     )
+    assert bake("detail", 60) - bake("detail", 20) > 5 * looked
     assert bake("detail", 20) > bake("glossy", 20)
+
+
+def test_a_first_shape_takes_longer_with_more_steps_of_the_volume() -> None:
+    models = {stage.name: stage.params for stage in load_stages()}
+    size = Capture(30, 12.0, 0.75, is_known=False, has_masks=True)
+    preview, glossy = (
+        works(size, recipe.resolve(recipe.load(name), [], models))["start"]
+        for name in ("preview", "glossy")
+    )
+    assert glossy == pytest.approx(1200 * cost.VOLUME_S) and glossy == pytest.approx(2 * preview)
 
 
 def test_an_idle_machine_is_not_called_busy(monkeypatch: pytest.MonkeyPatch) -> None:
