@@ -18,6 +18,7 @@ from refdgs_pipe.artifacts.mesh import UvMesh
 from refdgs_pipe.artifacts.photos import Photo
 from refdgs_pipe.artifacts.surface_map import SurfaceMap
 from refdgs_pipe.camera import Camera
+from refdgs_pipe.errors import MeshError
 from refdgs_pipe.geometry import hit_depth, outline_distance, spread_over
 from refdgs_pipe.ray_casting import Solid
 from refdgs_pipe.texture.points import bilinear
@@ -87,10 +88,13 @@ def expected_errors(
 
     Raises:
         CorruptError: a photo or its mask is missing or damaged.
+        MeshError: the mesh has no area.
     """
     from scipy.spatial import cKDTree
 
     witness = _Witness(mesh, [camera.fitted(_LONGEST) for camera in cameras])
+    if not len(witness.points):
+        raise MeshError("the mesh has no area. Run extract again, or drop the adopted mesh")
     for camera in track(cameras, "comparing shape and photos"):
         photo = load(camera, scale=camera.fitted(_LONGEST).width / camera.width)
         witness.add(photo, draw(photo.camera))

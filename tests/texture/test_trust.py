@@ -11,6 +11,7 @@ from refdgs_pipe.artifacts.mesh import UvMesh
 from refdgs_pipe.artifacts.photos import Photo
 from refdgs_pipe.artifacts.surface_map import SurfaceMap
 from refdgs_pipe.camera import Camera
+from refdgs_pipe.errors import MeshError
 from refdgs_pipe.texture.trust import HALF, ShapeErrors, expected_errors
 
 SCENE = Scene((Sphere((0, 0, 0), 1.0, waves, roughness=0.9),), gradient_sky)
@@ -63,6 +64,12 @@ def test_what_no_camera_sees_is_a_guess() -> None:
     found = errors(dented(0.0), cameras=above)
     confidence = found.confidence(np.array([[0, 0, 1], [0, 0, -1]], np.float32))
     assert confidence[0] > 0.7 and confidence[1] < 0.2
+
+
+def test_a_mesh_without_area_is_refused() -> None:
+    flat = dented(0.0)
+    with pytest.raises(MeshError, match="no area"):
+        errors(replace(flat, vertices=flat.vertices * np.float32([1, 0, 0])))
 
 
 def test_confidence_is_one_half_at_the_distance_that_says_so() -> None:
