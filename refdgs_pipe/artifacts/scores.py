@@ -56,8 +56,8 @@ class SurfaceScore:
             large as a tenth of the diagonal.
         left_out: share of the mesh's points that lie too far off and do not count, where the mesh
             may hold more than the object.
-        confidence_rank: Spearman's correlation of the mesh's distances from the truth with the
-            lack of confidence there; 1: the less confident, the further off.
+        confidence_rank: Spearman's correlation of low confidence and large distance from the
+            truth, over the mesh; 1: the mesh is further off wherever confidence is lower.
     """
 
     diagonal: float
@@ -181,14 +181,14 @@ class Scores:
         """Everything as JSON has it, with the means and percentages that `load` leaves out."""
         surface = None
         if self.surface is not None:
-            shares = (
+            others = (
                 "diagonal",
                 "f_score_half_percent",
                 "f_score_one_percent",
                 "left_out",
                 "confidence_rank",
             )
-            lengths = [name for name in asdict(self.surface) if name not in shares]
+            lengths = [name for name in asdict(self.surface) if name not in others]
             percent = {
                 f"{name}_percent": self.surface.percent(getattr(self.surface, name))
                 for name in lengths

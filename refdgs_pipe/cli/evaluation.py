@@ -118,7 +118,7 @@ def _surface_rows(surface: dict[str, Any], notes: dict[str, str]) -> list[tuple[
         words = "share of the mesh that lies too far off to count"
         rows.append(_row("  left out", surface["left_out"], "", 4, words, None))
     if surface["confidence_rank"] is not None:
-        words = "rank correlation of its lack with the distance; 1 is the right order"
+        words = "rank correlation of low confidence and large distance; 1 is best"
         rows.append(_row("confidence", surface["confidence_rank"], "", 3, words, None))
     return rows
 

@@ -16,7 +16,7 @@ SCORES = {
 SURFACE = "distance between the mesh and the true surface, in percent of the diagonal of its box"
 F_SCORE = "share of the surface that lies closer to the truth than this"
 LEFT_OUT = "share of the mesh that lies too far from the truth to count, such as a table"
-CONFIDENCE = "whether the mesh is further off where the confidence is lower; 1 is the right order"
+CONFIDENCE = "rank correlation of low confidence and large distance from the truth; 1 is best"
 MATERIALS = {
     "base colour": "mean error of the colour; 0 is none",
     "roughness order": "whether rougher parts are rougher; 1 is the right order",

@@ -106,7 +106,12 @@ def expected_errors(
 
 
 def _logarithm(m: dict[str, F64], *, with_outlines: bool) -> F64:
-    """The fitted model: logarithm of the distance in percent of the diagonal, plus _ROUNDING."""
+    """The fitted model: (S,) logarithm of the distance in percent of the diagonal, plus _ROUNDING.
+
+    Args:
+        m: of `_Witness.measures`.
+        with_outlines: whether there were masks; without them, other weights were fitted.
+    """
     if not with_outlines:
         seen = -1.52 * m["agreement"] - 1.17 * m["cosine"]
         return -0.43 + seen + 0.27 * m["turned"] + 0.035 * m["missing"]
@@ -178,7 +183,13 @@ class _Witness:
         self._cosine[rows] = np.maximum(self._cosine[rows], cosine)
 
     def measures(self) -> dict[str, F64]:
-        """(S,) each."""
+        """What the model weighs, (S,) each.
+
+        outline: logarithm of the distance to the third nearest outline, percent of the diagonal;
+        touching: of the number of outlines that touch; agreement: of fine detail, 0 to 1; cosine:
+        of the best view; turned: logarithm of the angle between the normals of field and mesh,
+        degrees; missing: of what the field lacks of full opacity.
+        """
         weight = np.maximum(self._weight, 1e-9)
         return {
             "outline": np.log(self._nearest[:, _THIRD] + 0.3),
@@ -215,9 +226,9 @@ class _Patches:
             return
         grey = cv2.cvtColor(photo.rgb, cv2.COLOR_RGB2GRAY)
         grey = np.asarray(cv2.GaussianBlur(grey, (0, 0), _SOFT), np.float32)
-        uv = photo.camera.project(self._places[rows].reshape(-1, 3))[0]
-        values = _looked_up(grey, uv).reshape(len(rows), -1)
-        values = values - values.mean(1, keepdims=True)
+        uv = photo.camera.project(self._places[rows].reshape(-1, 3))[0].astype(np.float32)
+        values = bilinear(grey[..., None], uv).reshape(len(rows), -1).astype(np.float64)
+        values -= values.mean(1, keepdims=True)
         weight = cosine[:, None] ** 2
         self._sum[rows] += weight * values
         self._squares[rows] += weight * values**2
@@ -238,8 +249,3 @@ def _pixel(points: F64, cameras: Sequence[Camera]) -> F64:
     before = np.where(depths > 0, depths, np.nan)
     before[np.isnan(before).all(1)] = 0
     return np.asarray(np.nanmedian(before, axis=1))
-
-
-def _looked_up(grey: F32, uv: F64) -> F64:
-    """(N,) grey values (H, W) at pixel coordinates (N, 2), centres at + 0.5."""
-    return bilinear(grey[..., None], uv.astype(np.float32))[:, 0].astype(np.float64)

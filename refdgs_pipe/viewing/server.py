@@ -80,7 +80,7 @@ def open_server(port: int, title: str) -> Any:
     plain = websockets.asyncio.server.serve  # viser takes no origins
 
     def serve(handler: Callable[[Any], Awaitable[None]], *args: Any, **options: Any) -> Any:
-        return plain(partial(_once, built, handler), *args, origins=_ORIGINS, **options)
+        return plain(partial(_when_built, built, handler), *args, origins=_ORIGINS, **options)
 
     websockets.asyncio.server.serve = serve
     try:
@@ -93,7 +93,7 @@ def open_server(port: int, title: str) -> Any:
     return server
 
 
-async def _once(
+async def _when_built(
     built: threading.Event, handler: Callable[[Any], Awaitable[None]], connection: Any
 ) -> None:
     """Handle a connection as soon as the server is built."""

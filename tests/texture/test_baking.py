@@ -18,6 +18,7 @@ from refdgs_pipe.texture.charts import seam_split, unmirrored
 from refdgs_pipe.texture.material import Painter
 from refdgs_pipe.texture.tangents import mikktspace, tangent_space
 from refdgs_pipe.texture.texels import coverage, rasterize
+from refdgs_pipe.texture.trust import HALF, ShapeErrors
 
 SCENE = Scene((Sphere((0, 0, 0), 1.0, waves, roughness=0.3),), gradient_sky)
 
@@ -118,6 +119,21 @@ def test_one_view_with_a_wrong_colour_is_outvoted(views: list[SurfaceMap]) -> No
     index, points = texel_points(textured.mesh, 256)
     base = linear_from_srgb(textured.base_color.reshape(-1, 3)[index] / np.float32(65535))
     assert np.quantile(np.abs(base - waves(points)).max(1), 0.98) < 0.1
+
+
+def test_confidence_is_that_of_the_expected_errors_where_a_view_sees_the_texel(
+    views: list[SurfaceMap],
+) -> None:
+    painter = Painter(ball(), 256, tolerance=0.03)
+    for view in views[:6]:  # all from above
+        painter.add(view)
+    points = ball().vertices.astype(float)
+    errors = ShapeErrors(points, np.full(len(points), HALF, np.float32))
+    textured = painter.paint(appearance(ball().vertices), errors)
+    index, points = texel_points(textured.mesh, 256)
+    confidence = textured.confidence.reshape(-1)[index] / 65535
+    np.testing.assert_allclose(confidence[points[:, 2] > 0.95], 0.5, atol=1e-4)
+    assert (confidence[points[:, 2] < -0.95] == 0).all()
 
 
 def test_what_no_view_sees_is_filled_from_beside_it_with_no_confidence(

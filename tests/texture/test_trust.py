@@ -80,7 +80,7 @@ def test_confidence_is_one_half_at_the_distance_that_says_so() -> None:
     )
 
 
-def test_no_number_of_views_or_order_changes_a_sample() -> None:
+def test_the_order_of_the_views_changes_nothing() -> None:
     one, other = errors(dented(0.1)), errors(dented(0.1), cameras=CAMERAS[::-1])
     np.testing.assert_array_equal(one.points, other.points)
     np.testing.assert_allclose(one.percent, other.percent, rtol=1e-4)
