@@ -12,7 +12,7 @@ from refdgs_pipe.pipeline.stage import Job, stage
 from refdgs_pipe.training.settings import TrainParams
 
 
-@stage(version=16, by_device=True)
+@stage(version=17, by_device=True)
 def train(
     views: Views,
     masks: Masks,
@@ -27,10 +27,18 @@ def train(
 
     from refdgs_pipe.training.budget import Load, train_part
     from refdgs_pipe.training.figures import teller, told_figures
+    from refdgs_pipe.training.near_trial import settled
     from refdgs_pipe.training.trainer import Trainer
 
     views = masks.applied(views, model.names)
     torch.set_num_threads(job.threads)
+
+    trying = partial(job.progress, "trying near-field features")
+    params, trial = settled(
+        params, views, model, start, job.scratch, lighting=lighting, progress=trying
+    )
+    if trial is not None:
+        job.measure("near-field features", trial.words)
 
     part = partial(Trainer, views, model, scratch=job.scratch, device=job.device, warn=job.warn)
 

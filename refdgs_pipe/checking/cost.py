@@ -22,6 +22,7 @@ LOOK_S = 0.3  # to compare the shape with a photo
 DETAIL_MPX_S, DETAIL_TEXEL_S = 1.2, 4e-7  # fine detail: a megapixel, and a texel, for each photo
 GATE_S, MASK_S = 8.0, 4.0  # to check the cameras; to find the object in a photo
 START_S, VOLUME_S = 30.0, 0.1  # to find a first shape, without masks; a step of the volume
+TRIAL_S = 0.035  # of a step of the trial of near-field features
 _SURFACE_SHARES = {
     "extract": 0.08,
     "clean": 0.03,
@@ -134,11 +135,13 @@ def _training(size: Capture, settings: Settings) -> dict[str, float]:
     step = STEP_S + STEP_MPX_S * _pixels(size.shape, side, size.megapixels)
     step *= max(of("max_surfels") / SURFELS, 0.25) * (1.0 if of("reflection") else PLAIN)
     start = of("volume_steps") * VOLUME_S + (0.0 if size.has_masks else START_S)
-    whole = of("iterations") * step
+    whole, trial = of("iterations") * step, 0.0
+    if of("reflection") and of("local") == "dual" and of("local_trial_steps") <= of("iterations"):
+        trial = 2 * of("local_trial_steps") * TRIAL_S
     if "refine" not in settings:
-        return {"train": start + whole}
+        return {"train": start + trial + whole}
     before = min(of("renew_at"), 1.0)
-    return {"start": start, "train": whole * before, "refine": whole * (1.0 - before)}
+    return {"start": start, "train": trial + whole * before, "refine": whole * (1.0 - before)}
 
 
 def _placing(count: int, pixels: float) -> float:

@@ -46,6 +46,7 @@ MEASURES = {
     "loss": "what training makes small",
     "train PSNR": "likeness to the photos of the training",
     "surfels": "small discs that the surface is made of while it is learned",
+    "near-field features": "likeness to held-out photos with near reflections, and without",
     "local surfels": "discs that hold reflections of near things",
     "background surfels": "discs of what is behind the object",
     "views fused": "views that the mesh was made of",

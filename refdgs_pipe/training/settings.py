@@ -214,8 +214,13 @@ class LightParams(Params):
     )
     local: Literal["none", "shared", "dual"] = Field(
         "dual",
-        description="near-field reflection features. none; shared: on the geometry surfels; dual: "
-        "on surfels of their own",
+        description="near-field features: none; shared: on the geometry surfels; dual: on others",
+    )
+    local_trial_steps: int = Field(
+        600,
+        ge=0,
+        description="steps of each of two short trainings, with near-field surfels and without, "
+        "that decide whether they stay; 0: they stay",
     )
     mixing: Literal["adaptive", "sum"] = Field(
         "adaptive",
@@ -351,9 +356,7 @@ class TrainExperimentParams(Params):
         le=1e4,
         description="weight of a pose's squared correction, in radians and camera distances",
     )
-    rate_poses: float = Field(
-        5e-4, gt=0, le=0.1, description="learning rate of a pose's correction; falls to 1/100"
-    )
+    rate_poses: float = Field(5e-4, gt=0, le=0.1, description="learning rate of poses, at first")
 
 
 class TrainParams(

@@ -80,6 +80,19 @@ def test_a_first_shape_takes_longer_with_more_steps_of_the_volume() -> None:
     assert glossy == pytest.approx(1200 * cost.VOLUME_S) and glossy == pytest.approx(2 * preview)
 
 
+def test_the_trial_of_near_field_features_takes_its_time() -> None:
+    models = {stage.name: stage.params for stage in load_stages()}
+    size = Capture(30, 12.0, 0.75, is_known=False, has_masks=True)
+
+    def train(*changes: str) -> float:
+        return works(size, recipe.resolve(recipe.load("preview"), changes, models))["train"]
+
+    trial = train() - train("train.local_trial_steps=0")
+    assert trial == pytest.approx(2 * 600 * cost.TRIAL_S)
+    assert train("train.local=none") == train("train.iterations=500") * 4
+    assert train("train.reflection=false") == pytest.approx(cost.PLAIN * (train() - trial))
+
+
 def test_an_idle_machine_is_not_called_busy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module.os, "getloadavg", lambda: (0.2, 0.2, 0.2))
     assert module._busy() == 1.0
