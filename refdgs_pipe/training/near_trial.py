@@ -32,7 +32,6 @@ EACH = 5  # one photo in so many is held out
 FEWEST = 10  # photos; with fewer, none can be spared, and few agree on anything
 SIDE = 200  # pixels of the photos, at most
 INSIDE = 2  # pixels of the mask's edge that do not count: masks are least certain there
-BETTER = 0.3  # dB, for a long training learns more by heart than a short one
 RESULT = "near_trial.json"
 
 
@@ -45,8 +44,8 @@ class NearTrial:
 
     @property
     def helps(self) -> bool:
-        """Whether near-field features explain them clearly better."""
-        return self.near > self.far + BETTER
+        """Whether near-field features explain them better."""
+        return self.near > self.far
 
     @property
     def words(self) -> str:

@@ -217,7 +217,7 @@ class LightParams(Params):
         description="near-field features: none; shared: on the geometry surfels; dual: on others",
     )
     local_trial_steps: int = Field(
-        600,
+        1200,
         ge=0,
         description="steps of each of two short trainings, with near-field surfels and without, "
         "that decide whether they stay; 0: they stay",

@@ -88,8 +88,8 @@ def test_the_trial_of_near_field_features_takes_its_time() -> None:
         return works(size, recipe.resolve(recipe.load("preview"), changes, models))["train"]
 
     trial = train() - train("train.local_trial_steps=0")
-    assert trial == pytest.approx(2 * 600 * cost.TRIAL_S)
-    assert train("train.local=none") == train("train.iterations=500") * 4
+    assert trial == pytest.approx(2 * 1200 * cost.TRIAL_S)
+    assert train("train.local=none") == train("train.iterations=1000") * 2
     assert train("train.reflection=false") == pytest.approx(cost.PLAIN * (train() - trial))
 
 

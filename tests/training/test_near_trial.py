@@ -14,7 +14,7 @@ from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.training import near_trial as module
 from refdgs_pipe.training.begin import begin
 from refdgs_pipe.training.field import TrainableField
-from refdgs_pipe.training.near_trial import BETTER, EACH, is_due, settled
+from refdgs_pipe.training.near_trial import EACH, is_due, settled
 from refdgs_pipe.training.photos import TrainingPhoto, load_training_photos
 from refdgs_pipe.training.short_run import short_run
 
@@ -56,8 +56,8 @@ def test_both_arms_learn_the_same_photos_and_are_asked_for_the_others(
     assert found is not None and np.isfinite([found.near, found.far]).all()
 
 
-@pytest.mark.parametrize(("gain", "kept"), [(2 * BETTER, "dual"), (0.5 * BETTER, "none")])
-def test_near_field_features_stay_only_if_they_clearly_help(
+@pytest.mark.parametrize(("gain", "kept"), [(0.1, "dual"), (-0.1, "none")])
+def test_near_field_features_stay_only_if_they_help(
     given: tuple[Views, SparseModel, Start],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
