@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
+from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion
 
 from refdgs_pipe.artifacts.lighting import WORLD, Lighting
@@ -24,8 +24,7 @@ from refdgs_pipe.training.field import TrainableField
 from refdgs_pipe.training.look import covered, limited
 from refdgs_pipe.training.photos import TrainingPhoto, load_training_photos, shrunk
 from refdgs_pipe.training.settings import TrainParams
-from refdgs_pipe.training.shading import draw
-from refdgs_pipe.training.short_run import short_run
+from refdgs_pipe.training.short_run import explained, short_run
 from refdgs_pipe.training.step import near_of
 
 EACH = 5  # one photo in so many is held out
@@ -141,7 +140,7 @@ def near_trial(
         among = [learnt[i] for i in known]
         steps = params.local_trial_steps
         short_run(field, among, steps, start.seed, masked=masked, progress=told)
-        figures[name] = _psnr(field, [seen[i] for i in held])
+        figures[name] = explained(field, [seen[i] for i in held], _inside)
     found = NearTrial(**figures)
     (scratch / RESULT).write_text(json.dumps(asdict(found)), "utf-8")
     return found
@@ -172,18 +171,9 @@ def _short(params: TrainParams) -> dict[str, Any]:
     }
 
 
-def _psnr(field: TrainableField, photos: list[TrainingPhoto]) -> float:
-    """PSNR in dB of photos on the object, without the edges of their masks."""
-    missed, count = 0.0, 0
-    for photo in photos:
-        with torch.no_grad():
-            picture = draw(field.scene(photo.pinhole, 1.0), photo.pinhole, torch.zeros(3)).image
-        there = np.ones(tuple(picture.shape[:2]), np.bool_)
-        if photo.mask is not None:
-            there = binary_erosion(photo.mask.numpy() > 127, iterations=INSIDE)
-        if photo.valid is not None:
-            there &= photo.valid.numpy()
-        wanted = photo.rgb.permute(1, 2, 0).float() / 255
-        apart = (picture.clamp(0, 1) - wanted)[torch.from_numpy(there)].square().mean(-1)
-        missed, count = missed + float(apart.sum()), count + int(there.sum())
-    return -10 * float(np.log10(max(missed / max(count, 1), 1e-9)))
+def _inside(photo: TrainingPhoto) -> NDArray[np.bool_]:
+    """(H, W) the object without the edge of its mask, where the photo is valid; all without one."""
+    there = np.ones((photo.camera.height, photo.camera.width), np.bool_)
+    if photo.mask is not None:
+        there = binary_erosion(photo.mask.numpy() > 127, iterations=INSIDE)
+    return there if photo.valid is None else there & photo.valid.numpy()

@@ -18,7 +18,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from scipy.ndimage import (
     binary_closing,
@@ -38,8 +37,7 @@ from refdgs_pipe.training.field import TrainableField
 from refdgs_pipe.training.initial import F32, Hull
 from refdgs_pipe.training.photos import TrainingPhoto, shrunk
 from refdgs_pipe.training.settings import StartParams, TrainParams
-from refdgs_pipe.training.shading import draw
-from refdgs_pipe.training.short_run import short_run
+from refdgs_pipe.training.short_run import explained, short_run
 from refdgs_pipe.training.starting import Given, start_of
 
 Bools = NDArray[np.bool_]
@@ -368,16 +366,12 @@ def _explained(
         TrainParams.model_validate(_SHORT), model, start, learnt, masked=True, near=near
     )
     short_run(field, learnt, STEPS, params.seed, masked=True, progress=told)
-    missed, count = 0.0, 0
-    for photo in asked:
-        with torch.no_grad():
-            picture = draw(field.scene(photo.pinhole, 1.0), photo.pinhole, torch.zeros(3)).image
+
+    def on_the_lid(photo: TrainingPhoto) -> Bools:
         assert photo.mask is not None
-        there = torch.from_numpy(shown(photo.camera, lid)) & (photo.mask > 127)
-        wanted = photo.rgb.permute(1, 2, 0).float() / 255
-        apart = (picture.clamp(0, 1) - wanted)[there].square().mean(-1)
-        missed, count = missed + float(apart.sum()), count + int(there.sum())
-    return -10 * float(np.log10(max(missed / max(count, 1), 1e-9)))
+        return np.asarray(shown(photo.camera, lid) & (photo.mask > 127).numpy(), np.bool_)
+
+    return explained(field, asked, on_the_lid)
 
 
 def shown(camera: Camera, points: F64) -> Bools:

@@ -16,7 +16,7 @@ from refdgs_pipe.training.begin import begin
 from refdgs_pipe.training.field import TrainableField
 from refdgs_pipe.training.near_trial import EACH, is_due, settled
 from refdgs_pipe.training.photos import TrainingPhoto, load_training_photos
-from refdgs_pipe.training.short_run import short_run
+from refdgs_pipe.training.short_run import explained, short_run
 
 pytestmark = pytest.mark.usefixtures("coarse_start")
 PARAMS = SMALL.train.model_copy(update={"local_trial_steps": 4})
@@ -32,19 +32,18 @@ def test_both_arms_learn_the_same_photos_and_are_asked_for_the_others(
     given: tuple[Views, SparseModel, Start], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     learnt, asked, told = list[list[str]](), list[list[str]](), list[tuple[int, int]]()
-    psnr = module._psnr
 
     def noted_run(field: TrainableField, photos: list[TrainingPhoto], *a: Any, **k: Any) -> None:
         learnt.append([photo.camera.name for photo in photos])
         assert (field.local is None) == (len(learnt) == 2)
         short_run(field, photos, *a, **k)
 
-    def noted_psnr(field: TrainableField, photos: list[TrainingPhoto]) -> float:
+    def noted_figure(field: TrainableField, photos: list[TrainingPhoto], where: Any) -> float:
         asked.append([photo.camera.name for photo in photos])
-        return psnr(field, photos)
+        return explained(field, photos, where)
 
     monkeypatch.setattr(module, "short_run", noted_run)
-    monkeypatch.setattr(module, "_psnr", noted_psnr)
+    monkeypatch.setattr(module, "explained", noted_figure)
     _, found = settled(
         PARAMS, *given, tmp_path, progress=lambda step, steps: told.append((step, steps))
     )
@@ -65,7 +64,7 @@ def test_near_field_features_stay_only_if_they_help(
     kept: str,
 ) -> None:
     figures = iter([30.0 + gain, 30.0])
-    monkeypatch.setattr(module, "_psnr", lambda *_: next(figures))
+    monkeypatch.setattr(module, "explained", lambda *_: next(figures))
     params, found = settled(PARAMS, *given, tmp_path)
     assert params.local == kept
     assert params == PARAMS.model_copy(update={"local": kept})
@@ -121,11 +120,11 @@ def test_a_stain_in_the_photo_lowers_the_figure(
     field = TrainableField(PARAMS, model, start, photos, masked=True, near=0.1)
     assert photos[0].mask is not None
     inside = binary_erosion(photos[0].mask.numpy() > 127, iterations=module.INSIDE)
-    clean = module._psnr(field, photos[:1])
+    clean = explained(field, photos[:1], module._inside)
     before = photos[0].rgb.clone()
     photos[0].rgb[:, ~inside] = 255
-    assert module._psnr(field, photos[:1]) == clean
+    assert explained(field, photos[:1], module._inside) == clean
     photos[0].rgb.copy_(before)
     row, column = np.argwhere(inside)[len(np.argwhere(inside)) // 2]
     photos[0].rgb[:, row, column] = 255
-    assert module._psnr(field, photos[:1]) < clean
+    assert explained(field, photos[:1], module._inside) < clean
