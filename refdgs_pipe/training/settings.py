@@ -214,7 +214,8 @@ class LightParams(Params):
     )
     local: Literal["none", "shared", "dual"] = Field(
         "dual",
-        description="near-field features: none; shared: on the geometry surfels; dual: on others",
+        description="near-field features. none; shared: on the geometry surfels; dual: on surfels "
+        "of their own",
     )
     local_trial_steps: int = Field(
         1200,
@@ -356,7 +357,7 @@ class TrainExperimentParams(Params):
         le=1e4,
         description="weight of a pose's squared correction, in radians and camera distances",
     )
-    rate_poses: float = Field(5e-4, gt=0, le=0.1, description="learning rate of poses, at first")
+    rate_poses: float = Field(5e-4, gt=0, le=0.1, description="rate of poses; it falls to 1/100")
 
 
 class TrainParams(
