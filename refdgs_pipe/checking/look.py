@@ -154,9 +154,9 @@ def _placed(
 
     step = -(-len(views.items) // MOST_PLACED)
     views = replace(views, items=views.items[::step])
-    found: list[tuple[Poses, tuple[str, ...]]] = []
+    found: list[tuple[tuple[Poses, ...], tuple[str, ...]]] = []
 
-    def once(arguments: dict[str, Any]) -> tuple[Poses, tuple[str, ...]]:
+    def once(arguments: dict[str, Any]) -> tuple[tuple[Poses, ...], tuple[str, ...]]:
         """The answer of the first rung; harder rungs get it again, which changes nothing."""
         target = "refdgs_pipe.sfm.colmap:reconstruct"
         try:
@@ -168,7 +168,7 @@ def _placed(
                 found.append(answer)
         except (ChildCrashed, ChildTimeout) as error:
             note = f"the quick try ended early: {str(error).splitlines()[0]}"
-            found.append((_nowhere(), (note,)))
+            found.append(((_nowhere(),), (note,)))
         return found[0]
 
     effort = Effort(SIDE, FEATURES, -1, threads)

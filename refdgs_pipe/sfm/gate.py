@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from refdgs_pipe.artifacts.placement import Evidence, Placement
+from refdgs_pipe.artifacts.placement import Evidence, Placement, Poses
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import F64, Camera
@@ -29,6 +29,7 @@ HELD_PAIRS = 5
 CLOSE_DEG = 10.0  # between the rays of two photos that should look nearly alike
 CLOSE_PAIRS = 5
 CLOSE_SHARE = 0.09  # of the features in the one with fewer, that such photos share
+CLOSE_TIMES = 1.4  # by which their distances may differ: nearer photos show another part, and finer
 APART = 0.1  # of the photos' distance from their middle, between two solutions
 BALL_POINTS = 30  # points in the object ball, each seen by three photos
 BALL_PHOTOS = 0.5  # of the photos that have to see some of them
@@ -99,7 +100,7 @@ def examine(views: Views, placement: Placement, *, least: float) -> Judgement:
     Args:
         least: share of the photos that must have a trusted place.
     """
-    said = {f"{view.name}.png": view.source or view.name for view in views.items}
+    said = _files(views)
     poses = placement.poses
     evidence = None if poses is None else poses.evidence
     lost = reasons(poses, evidence, said)
@@ -119,7 +120,7 @@ def examine(views: Views, placement: Placement, *, least: float) -> Judgement:
     if model is not None and poses is not None:
         if evidence is not None:
             checks.append(_agreeing(conflict(evidence)))
-            checks += [*_held_out(evidence), *_alike(evidence, set(lost))]
+            checks += [*_held_out(evidence), *_alike(poses, evidence, set(lost))]
         if poses.rival is not None:
             checks.append(_two_solutions(poses.rival))
         if evidence is not None:
@@ -129,6 +130,18 @@ def examine(views: Views, placement: Placement, *, least: float) -> Judgement:
         gaps = gaps_of(model, {view.name: view.source or view.name for view in views.items})
     names = {file: file.removesuffix(".png") for file in said}
     return Judgement(model, {names[f]: why for f, why in lost.items()}, tuple(checks), gaps)
+
+
+def shows_the_same(views: Views, poses: Poses) -> bool | None:
+    """Whether photos that were placed close together show the same; None: it cannot be told."""
+    model = _model(views, Placement(poses), lost := reasons(poses, poses.evidence, _files(views)))
+    if model is None or poses.evidence is None:
+        return None
+    seen = _looking_alike(agreement(model, views))
+    checks = [*_alike(poses, poses.evidence, set(lost)), *seen]
+    if not all(check.is_met for check in checks):
+        return False
+    return True if seen else None
 
 
 def check_trusted(views: Views, judgement: Judgement, *, attempts: int) -> SparseModel:
@@ -156,6 +169,11 @@ def check_trusted(views: Views, judgement: Judgement, *, attempts: int) -> Spars
         "poses with the photos (transforms.json, sparse/0)"
     )
     raise PoseError("\n  ".join(parts))
+
+
+def _files(views: Views) -> dict[str, str]:
+    """File name, as structure from motion has it -> the photo's name for people."""
+    return {f"{view.name}.png": view.source or view.name for view in views.items}
 
 
 def _model(views: Views, placement: Placement, lost: Mapping[str, str]) -> SparseModel | None:
@@ -235,7 +253,7 @@ def _held_out(evidence: Evidence) -> list[Check]:
     return [Check("contradicting matches in pairs held out", found, share <= HELD_CONFLICT, advice)]
 
 
-def _alike(evidence: Evidence, lost: set[str]) -> list[Check]:
+def _alike(poses: Poses, evidence: Evidence, lost: set[str]) -> list[Check]:
     """Whether photos that were placed close together share features, as neighbours do.
 
     Where an object has equal sides, photos of different sides can get the same place. All their
@@ -249,6 +267,10 @@ def _alike(evidence: Evidence, lost: set[str]) -> list[Check]:
     kept = np.array([name not in lost for name in evidence.names])
     close = (evidence.angle < CLOSE_DEG) & (evidence.shared >= BRIDGE)
     close &= kept[a] & kept[b] & ~np.isnan(evidence.agree)
+    close[close] = [
+        _as_far(poses, evidence.names[i], evidence.names[j])
+        for i, j in zip(a[close], b[close], strict=True)
+    ]
     if close.sum() < CLOSE_PAIRS:
         return []
     moving = evidence.features * (1 - evidence.still)
@@ -262,6 +284,17 @@ def _alike(evidence: Evidence, lost: set[str]) -> list[Check]:
             _EQUAL_SIDES,
         )
     ]
+
+
+def _as_far(poses: Poses, one: str, other: str) -> bool:
+    """Whether both photos are about as far from the points that both see."""
+    shared = np.intersect1d(poses.tracks[one], poses.tracks[other])
+    away = [
+        np.linalg.norm(poses.points[shared] @ pose[:3, :3].T + pose[:3, 3], axis=1)
+        for pose in (poses.cam_from_world[one], poses.cam_from_world[other])
+    ]
+    times = float(np.median(away[0] / np.maximum(away[1], 1e-12)))
+    return 1 / CLOSE_TIMES < times < CLOSE_TIMES
 
 
 def _looking_alike(found: Agreement) -> list[Check]:

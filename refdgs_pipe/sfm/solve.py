@@ -18,6 +18,7 @@ from refdgs_pipe.sfm.pattern.places import ground_repeats, placed_by_pattern
 from refdgs_pipe.sfm.pictures import MaskUse, Pictures, feature_masks
 from refdgs_pipe.sfm.posed import shots_of
 from refdgs_pipe.sfm.poses import Effort
+from refdgs_pipe.sfm.rivals import settled
 from refdgs_pipe.sfm.trust import standing
 
 GOOD = 0.9  # share of photos trusted above which the slow rungs are not worth their time
@@ -28,7 +29,7 @@ _PATTERN = (
     "the ground repeats: the photos are placed by its pattern, and by what tells its repeats apart"
 )
 
-Run = Callable[[dict[str, Any]], tuple[Poses, tuple[str, ...]]]
+Run = Callable[[dict[str, Any]], tuple[tuple[Poses, ...], tuple[str, ...]]]
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,7 @@ def solve(
     for rung in _rungs(effort, masks, is_masked=views.background != "photo"):
         if not rung.only_from <= so_far.share < rung.only_below:
             continue
-        poses, said = run(
+        solutions, said = run(
             {
                 "images": pictures.folder,
                 "shots": shots,
@@ -90,7 +91,7 @@ def solve(
                 "scratch": scratch / f"colmap-{rung.key}",
             }
         )
-        is_first = not so_far.attempts
+        is_first, poses = not so_far.attempts, settled(views, solutions)
         so_far.keep(rung.name, found_by_mat(poses, mat, shots, line_mm=line_mm), said)
         if is_first and so_far.share < GOOD:
             alone = placed_by_mat(mat, shots, line_mm=line_mm)

@@ -126,6 +126,24 @@ def test_a_camera_that_hardly_moves_is_refused(views: Views) -> None:
     assert any("nearly the same place" in c.advice for c in judgement.checks if not c.is_met)
 
 
+@pytest.mark.parametrize(("farther", "is_asked"), [(1.0, True), (1.8, False)])
+def test_photos_of_one_direction_share_features_if_they_are_as_far(
+    views: Views, farther: float, is_asked: bool
+) -> None:
+    """A close-up shows another part, and finer: it shares fewer features with its neighbours."""
+    centers = [c * (farther if i % 2 else 1.0) for i, c in enumerate(EVENLY)]
+    found = placement(centers)
+    assert found.poses is not None and found.poses.evidence is not None
+    a, b = found.poses.evidence.pairs.T
+    rows = np.array([int(name[4:-4]) for name in found.poses.evidence.names])
+    close = np.abs(rows[a] - rows[b]) == 1
+    angle, few = np.where(close, 5.0, 20.0), np.where(close, 20, 90).astype(np.int32)
+    judgement = examine(views, with_evidence(found, angle=angle, inliers=few), least=0.7)
+    refused = [c.name for c in judgement.checks if not c.is_met]
+    asked = "features shared by photos with nearly the same place"
+    assert (asked in refused) == is_asked
+
+
 def test_a_camera_at_another_scale_is_left_out(views: Views) -> None:
     centers = [*EVENLY[:-1], EVENLY[-1] * 9]
     judgement = examine(views, placement(centers), least=0.7)

@@ -38,9 +38,9 @@ def climbed(
     """The ladder where the rungs place so many photos, and what each was asked for."""
     left, asked = list(counts), list[Effort]()
 
-    def run(arguments: dict[str, Any]) -> tuple[Poses, tuple[str, ...]]:
+    def run(arguments: dict[str, Any]) -> tuple[tuple[Poses, ...], tuple[str, ...]]:
         asked.append(arguments["effort"])
-        return poses(left.pop(0)), (f"note {len(asked)}",)
+        return (poses(left.pop(0)),), (f"note {len(asked)}",)
 
     found = solve(views, plain_images(views, folder), effort, masks="auto", scratch=folder, run=run)
     return found, asked
@@ -86,8 +86,8 @@ def test_a_ground_that_repeats_places_what_features_left(
     monkeypatch.setattr("refdgs_pipe.sfm.solve.ground_repeats", lambda *a: True)
     monkeypatch.setattr("refdgs_pipe.sfm.solve.placed_by_pattern", lambda *a: poses(6))
 
-    def run(arguments: dict[str, Any]) -> tuple[Poses, tuple[str, ...]]:
-        return poses(2), ()
+    def run(arguments: dict[str, Any]) -> tuple[tuple[Poses, ...], tuple[str, ...]]:
+        return (poses(2),), ()
 
     pictures = plain_images(views, tmp_path)
     found = solve(views, pictures, PLAIN, masks="auto", scratch=tmp_path, run=run)
@@ -109,7 +109,7 @@ def test_a_pattern_that_places_less_than_features_ends_nothing(
         PLAIN,
         masks="auto",
         scratch=tmp_path,
-        run=lambda arguments: (poses(next(places)), ()),
+        run=lambda arguments: ((poses(next(places)),), ()),
     )
     assert found.poses is not None and len(found.poses.cam_from_world) == 7
     assert len(found.attempts) == 5
