@@ -22,8 +22,8 @@ Ints = NDArray[np.int64]
 CLOSE_DEG = 15.0  # between the rays of two photos to the points that both see, in the median
 SHARED = 10  # points that two photos have to share
 SIDE = 800  # pixels, of the photos that are compared
-NARROW_DEG = 12.0  # between which and CLOSE_DEG the object hides much of what both could show
-ENOUGH = 10  # pairs, from which on such wide ones are not compared
+NARROW_DEG = 10.0  # between which and CLOSE_DEG the object hides much of what both could show
+ENOUGH = 6  # pairs, from which on such wide ones are not compared
 NEAR_DEG = 8.0  # the same between photos that see the same light
 MOST_PAIRS = 60  # that are compared, the closest first
 MOST_POINTS = 150  # of a photo, looked up in another
@@ -33,6 +33,9 @@ CONTRAST = 0.016  # standard deviation of a patch that tells anything, sRGB
 LIKE = 0.5  # correlation of two patches that show the same
 LIT = 0.25  # difference of the logarithms of their light, beside that of the shared points
 SHARPER = 1.6  # times the contrast of what both see: such photos are not equally sharp
+FARTHER = (
+    1.3  # times as far from the points: what such a photo sees beside the object, another hides
+)
 FLOOR = 0.01  # added to linear light before its logarithm
 
 
@@ -66,10 +69,11 @@ def agreement(model: SparseModel, views: Views) -> Agreement:
         light, _, contrast = pictures.compared(pair.one, pair.other, model.points[pair.shared])
         if not len(light) or not 1 / SHARPER < np.median(contrast) < SHARPER:
             continue
-        apart, like, _ = pictures.compared(pair.one, pair.other, model.points[pair.rest])
-        if len(like) >= FEWEST_POINTS:
-            lit = np.abs(apart - np.median(light)) < LIT
-            shares.append(float((lit & (like > LIKE)).mean()))
+        if pair.farther < FARTHER:
+            apart, like, _ = pictures.compared(pair.one, pair.other, model.points[pair.rest])
+            if len(like) >= FEWEST_POINTS:
+                lit = np.abs(apart - np.median(light)) < LIT
+                shares.append(float((lit & (like > LIKE)).mean()))
         if pair.angle < NEAR_DEG:
             uneven.append(float(np.median(np.abs(light - np.median(light)))))
     return Agreement(
@@ -86,12 +90,14 @@ class _Pair:
 
     Args:
         angle: between their rays to the points that both see, degrees, in the median.
+        farther: how many times as far the first is from these points.
         shared, rest: rows of points that both see, and that the first sees alone.
     """
 
     one: Camera
     other: Camera
     angle: float
+    farther: float
     shared: Ints
     rest: Ints
 
@@ -106,13 +112,13 @@ def _close(model: SparseModel) -> list[_Pair]:
             if one is other or len(shared) < SHARED:
                 continue
             rays = [model.points[shared] - camera.center for camera in (one, other)]
-            cosine = (rays[0] * rays[1]).sum(1) / np.maximum(
-                np.linalg.norm(rays[0], axis=1) * np.linalg.norm(rays[1], axis=1), 1e-12
-            )
+            away = [np.maximum(np.linalg.norm(ray, axis=1), 1e-12) for ray in rays]
+            cosine = (rays[0] * rays[1]).sum(1) / (away[0] * away[1])
             angle = float(np.degrees(np.arccos(np.clip(np.median(cosine), -1, 1))))
             if angle < CLOSE_DEG:
                 rest = _some(np.setdiff1d(a, b))
-                found.append(_Pair(one, other, angle, _some(shared), rest))
+                farther = float(np.median(away[0] / away[1]))
+                found.append(_Pair(one, other, angle, farther, _some(shared), rest))
     return sorted(found, key=lambda pair: pair.angle)
 
 

@@ -99,7 +99,22 @@ def test_pairs_further_apart_count_only_where_close_ones_are_few(
     monkeypatch: pytest.MonkeyPatch, close: int, far: int, share: float
 ) -> None:
     """Close photos agree; more is hidden from one of two photos that are further apart."""
-    pairs = [(5.0, 1.0)] * close + [(14.0, 0.0)] * far
+    pairs = [(5.0, 1.0, 1.0)] * close + [(14.0, 1.0, 0.0)] * far
+    assert _agreement_of(pairs, monkeypatch).share == share
+
+
+def test_what_a_photo_from_afar_sees_beside_the_object_is_not_asked_of_a_nearer_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    pairs = [(5.0, 0.6, 1.0), (5.0, 1.7, 0.0)] * 4
+    found = _agreement_of(pairs, monkeypatch)
+    assert (found.pairs, found.share) == (4, 1.0)
+
+
+def _agreement_of(
+    pairs: list[tuple[float, float, float]], monkeypatch: pytest.MonkeyPatch
+) -> Agreement:
+    """Of pairs of (degrees apart, how many times as far the first is, how alike they look)."""
 
     class Pictures:
         def __init__(self, *_: object) -> None:
@@ -111,10 +126,13 @@ def test_pairs_further_apart_count_only_where_close_ones_are_few(
 
     def found_pairs(_: object) -> list[alike._Pair]:
         rows = np.zeros(20, np.int64)
-        cameras = [(camera(str(like), 0.0), angle) for angle, like in pairs]
-        return [alike._Pair(one, one, angle, rows, rows) for one, angle in cameras]
+        cameras = [camera(str(like), 0.0) for _, _, like in pairs]
+        return [
+            alike._Pair(one, one, angle, farther, rows, rows)
+            for one, (angle, farther, _) in zip(cameras, pairs, strict=True)
+        ]
 
     monkeypatch.setattr(alike, "_close", found_pairs)
     monkeypatch.setattr(alike, "_Pictures", Pictures)
     model = SimpleNamespace(points=np.zeros((1, 3)))
-    assert agreement(model, None).share == share  # type: ignore[arg-type]
+    return agreement(model, None)  # type: ignore[arg-type]
