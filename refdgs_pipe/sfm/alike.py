@@ -28,6 +28,7 @@ NEAR_DEG = 8.0  # the same between photos that see the same light
 MOST_PAIRS = 60  # that are compared, the closest first
 MOST_POINTS = 150  # of a photo, looked up in another
 FEWEST_POINTS = 15
+FEWEST_ALIKE = 8  # of these, to say how many of them are lit otherwise
 HALF = 6  # pixels, of a patch
 CONTRAST = 0.016  # standard deviation of a patch that tells anything, sRGB
 LIKE = 0.5  # correlation of two patches that show the same
@@ -50,12 +51,17 @@ class Agreement:
         near: of these pairs, those that are nearer to each other still.
         uneven: how unequally the points that both see are lit in one photo and the other: median
             deviation of the logarithms' difference, median over the near pairs; NaN without these.
+        other_light: of the points without a match that look alike, the share that is lit otherwise
+            than the points that both see: median over the near pairs that could be compared.
+        compared: these pairs.
     """
 
     pairs: int
     share: float
     near: int
     uneven: float
+    compared: int = 0
+    other_light: float = float("nan")
 
 
 def agreement(model: SparseModel, views: Views) -> Agreement:
@@ -63,6 +69,7 @@ def agreement(model: SparseModel, views: Views) -> Agreement:
     pictures = _Pictures(views, model)
     shares: list[float] = []
     uneven: list[float] = []
+    otherwise: list[float] = []
     for pair in _close(model)[:MOST_PAIRS]:
         if pair.angle >= NARROW_DEG and len(shares) >= ENOUGH:
             break
@@ -72,8 +79,10 @@ def agreement(model: SparseModel, views: Views) -> Agreement:
         if pair.farther < FARTHER:
             apart, like, _ = pictures.compared(pair.one, pair.other, model.points[pair.rest])
             if len(like) >= FEWEST_POINTS:
-                lit = np.abs(apart - np.median(light)) < LIT
-                shares.append(float((lit & (like > LIKE)).mean()))
+                lit, same = np.abs(apart - np.median(light)) < LIT, like > LIKE
+                shares.append(float((lit & same).mean()))
+                if pair.angle < NEAR_DEG and same.sum() >= FEWEST_ALIKE:
+                    otherwise.append(float((same & ~lit).sum() / same.sum()))
         if pair.angle < NEAR_DEG:
             uneven.append(float(np.median(np.abs(light - np.median(light)))))
     return Agreement(
@@ -81,6 +90,8 @@ def agreement(model: SparseModel, views: Views) -> Agreement:
         float(np.quantile(shares, 0.25)) if shares else float("nan"),
         len(uneven),
         float(np.median(uneven)) if uneven else float("nan"),
+        len(otherwise),
+        float(np.median(otherwise)) if otherwise else float("nan"),
     )
 
 

@@ -41,6 +41,7 @@ LIKE_PAIRS = 2  # of close photos
 LIKE_SHARE = 0.46  # of the points without a match, that look alike in them
 NEAR_PAIRS = 4
 UNEVEN = 0.085  # difference of the logarithms of light
+OTHER_LIGHT = 0.08  # of the points that look alike, that may be lit otherwise
 _REPEATS = (
     "The ground seems to repeat (checks, tiles or dots), and what tells its repeats apart is too "
     "weak. Put the object on the printed mat, on newspaper or on another ground whose pattern does "
@@ -308,6 +309,11 @@ def _looking_alike(found: Agreement) -> list[Check]:
         apart = f"{found.uneven:.0%} in {found.near} pairs, at most {UNEVEN:.0%} are usual"
         name = "difference in light between photos with the same place"
         checks.append(Check(name, apart, found.uneven <= UNEVEN, _EQUAL_SIDES))
+    if found.compared >= NEAR_PAIRS:
+        lit = f"{found.other_light:.0%} in {found.compared} pairs"
+        lit += f", at most {OTHER_LIGHT:.0%} are usual"
+        name = "points that look alike but are lit otherwise, in photos with the same place"
+        checks.append(Check(name, lit, found.other_light <= OTHER_LIGHT, _EQUAL_SIDES))
     return checks
 
 

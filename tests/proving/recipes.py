@@ -122,6 +122,9 @@ RECIPES = {
     "toy": Recipe(m.car, papers, "attic", b.from_low, seed=207, photos=24),
     "tablet": Recipe(m.phone, p.mosaic, "room_b", b.from_above, seed=202),
     "pawns": Recipe(d.chessmen, p.stone, "attic", b.near_and_far, seed=203, checking=True),
+    "tumbler": Recipe(h.cup, p.planks, "room_b", b.near_and_far, seed=502, photos=30),
+    "bolt": Recipe(o.nut, papers, "attic", b.from_low, seed=503, photos=26),
+    "casserole": Recipe(o.pot, p.planks, "office", b.near_and_far, seed=601, photos=28),
     "mat": Recipe(k.vase, p.placemat, "attic", p.spiral, seed=81, checking=True),
     "label": Recipe(
         w.medicine,

@@ -296,6 +296,7 @@ def test_a_place_that_the_other_photos_do_not_confirm_is_left_out(views: Views) 
     [
         (Agreement(9, 0.3, 0, float("nan")), "points that look alike"),
         (Agreement(9, 0.8, 4, 0.2), "difference in light"),
+        (Agreement(9, 0.8, 4, 0.02, 4, 0.2), "look alike but are lit otherwise"),
     ],
 )
 def test_close_photos_that_do_not_show_the_same_end_the_run(
@@ -310,5 +311,6 @@ def test_close_photos_that_do_not_show_the_same_end_the_run(
 def test_close_photos_that_show_the_same_pass(
     views: Views, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("refdgs_pipe.sfm.gate.agreement", lambda *_: Agreement(9, 0.8, 4, 0.02))
+    seen = Agreement(9, 0.8, 4, 0.02, 4, 0.03)
+    monkeypatch.setattr("refdgs_pipe.sfm.gate.agreement", lambda *_: seen)
     assert examine(views, placement(EVENLY), least=0.7).is_trusted
