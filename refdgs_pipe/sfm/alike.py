@@ -34,9 +34,7 @@ CONTRAST = 0.016  # standard deviation of a patch that tells anything, sRGB
 LIKE = 0.5  # correlation of two patches that show the same
 LIT = 0.25  # difference of the logarithms of their light, beside that of the shared points
 SHARPER = 1.6  # times the contrast of what both see: such photos are not equally sharp
-FARTHER = (
-    1.3  # times as far from the points: what such a photo sees beside the object, another hides
-)
+FARTHER = 1.3  # times as far from the points: the object hides from the nearer what it sees
 FLOOR = 0.01  # added to linear light before its logarithm
 
 

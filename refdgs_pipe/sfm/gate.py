@@ -135,7 +135,8 @@ def examine(views: Views, placement: Placement, *, least: float) -> Judgement:
 
 def shows_the_same(views: Views, poses: Poses) -> bool | None:
     """Whether photos that were placed close together show the same; None: it cannot be told."""
-    model = _model(views, Placement(poses), lost := reasons(poses, poses.evidence, _files(views)))
+    lost = reasons(poses, poses.evidence, _files(views))
+    model = _model(views, Placement(poses), lost)
     if model is None or poses.evidence is None:
         return None
     seen = _looking_alike(agreement(model, views))
