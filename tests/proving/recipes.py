@@ -125,6 +125,7 @@ RECIPES = {
     "tumbler": Recipe(h.cup, p.planks, "room_b", b.near_and_far, seed=502, photos=30),
     "bolt": Recipe(o.nut, papers, "attic", b.from_low, seed=503, photos=26),
     "casserole": Recipe(o.pot, p.planks, "office", b.near_and_far, seed=601, photos=28),
+    "platter": Recipe(h.plate, p.planks, "square", b.turned, seed=603, photos=28),
     "mat": Recipe(k.vase, p.placemat, "attic", p.spiral, seed=81, checking=True),
     "label": Recipe(
         w.medicine,
