@@ -154,22 +154,23 @@ def _placed(
 
     step = -(-len(views.items) // MOST_PLACED)
     views = replace(views, items=views.items[::step])
-    found: list[tuple[tuple[Poses, ...], tuple[str, ...]]] = []
+    asked = False
 
     def once(arguments: dict[str, Any]) -> tuple[tuple[Poses, ...], tuple[str, ...]]:
-        """The answer of the first rung; harder rungs get it again, which changes nothing."""
-        target = "refdgs_pipe.sfm.colmap:reconstruct"
+        """The answer of the first rung; harder rungs place nothing."""
+        nonlocal asked
+        if asked:
+            return (_nowhere(),), ()
+        asked, target = True, "refdgs_pipe.sfm.colmap:reconstruct"
         try:
-            if not found:
-                limit = TIME_LIMIT_S
-                answer = call_in_child(
-                    target, arguments, timeout_s=limit, stop=stop, on_progress=told
-                )
-                found.append(answer)
+            limit = TIME_LIMIT_S
+            answer: tuple[tuple[Poses, ...], tuple[str, ...]] = call_in_child(
+                target, arguments, timeout_s=limit, stop=stop, on_progress=told
+            )
         except (ChildCrashed, ChildTimeout) as error:
             note = f"the quick try ended early: {str(error).splitlines()[0]}"
-            found.append(((_nowhere(),), (note,)))
-        return found[0]
+            return (_nowhere(),), (note,)
+        return answer
 
     effort = Effort(SIDE, FEATURES, -1, threads)
     pictures = plain_images(views, scratch)
