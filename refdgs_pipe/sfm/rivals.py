@@ -14,9 +14,11 @@ from refdgs_pipe.sfm.gate import APART, shows_the_same
 
 
 def settled(views: Views, solutions: tuple[Poses, ...]) -> Poses:
-    """The first solution, or the second where only that one agrees with what the photos show.
+    """The first solution, or the second where what the photos show refutes only the first.
 
     A solution that the photos refute is no evidence against the other: its distance is forgotten.
+    That holds where the other has no photos close together: then none of different sides fell
+    into one place.
 
     Args:
         solutions: one, or two with their distance as `rival`.
@@ -25,6 +27,6 @@ def settled(views: Views, solutions: tuple[Poses, ...]) -> Poses:
     if len(solutions) == 1 or first.rival is None or first.rival <= APART:
         return first
     found = [shows_the_same(views, poses) for poses in solutions]
-    if {*found} != {True, False}:
+    if found.count(False) != 1:
         return first
-    return replace(solutions[found.index(True)], rival=None)
+    return replace(solutions[1 - found.index(False)], rival=None)
