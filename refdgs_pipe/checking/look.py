@@ -149,28 +149,28 @@ def _placed(
     """Place the photos with few features, once, and let the gate judge the result."""
     from refdgs_pipe.child_process import call_in_child
     from refdgs_pipe.sfm.pictures import plain_images
-    from refdgs_pipe.sfm.poses import Effort
+    from refdgs_pipe.sfm.poses import Effort, Found
     from refdgs_pipe.sfm.solve import solve
 
     step = -(-len(views.items) // MOST_PLACED)
     views = replace(views, items=views.items[::step])
     asked = False
 
-    def once(arguments: dict[str, Any]) -> tuple[tuple[Poses, ...], tuple[str, ...]]:
+    def once(arguments: dict[str, Any]) -> Found:
         """The answer of the first rung; harder rungs place nothing."""
         nonlocal asked
         if asked:
             return (_nowhere(),), ()
-        asked, target = True, "refdgs_pipe.sfm.colmap:reconstruct"
+        asked = True
+        target, limit = "refdgs_pipe.sfm.colmap:reconstruct", TIME_LIMIT_S
         try:
-            limit = TIME_LIMIT_S
-            answer: tuple[tuple[Poses, ...], tuple[str, ...]] = call_in_child(
+            found: Found = call_in_child(
                 target, arguments, timeout_s=limit, stop=stop, on_progress=told
             )
         except (ChildCrashed, ChildTimeout) as error:
             note = f"the quick try ended early: {str(error).splitlines()[0]}"
             return (_nowhere(),), (note,)
-        return answer
+        return found
 
     effort = Effort(SIDE, FEATURES, -1, threads)
     pictures = plain_images(views, scratch)

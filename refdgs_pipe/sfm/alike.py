@@ -34,7 +34,7 @@ CONTRAST = 0.016  # standard deviation of a patch that tells anything, sRGB
 LIKE = 0.5  # correlation of two patches that show the same
 LIT = 0.25  # difference of the logarithms of their light, beside that of the shared points
 SHARPER = 1.6  # times the contrast of what both see: such photos are not equally sharp
-FARTHER = 1.3  # times as far from the points: the object hides from the nearer what it sees
+AS_FAR = 1.3  # times: what a photo from farther away sees is hidden from the nearer one
 FLOOR = 0.01  # added to linear light before its logarithm
 
 
@@ -49,17 +49,17 @@ class Agreement:
         near: of these pairs, those that are nearer to each other still.
         uneven: how unequally the points that both see are lit in one photo and the other: median
             deviation of the logarithms' difference, median over the near pairs; NaN without these.
-        other_light: of the points without a match that look alike, the share that is lit otherwise
-            than the points that both see: median over the near pairs that could be compared.
-        compared: these pairs.
+        told: near pairs in which points without a match look alike.
+        other_light: of these points, the share that is lit otherwise than the points that both
+            see: median over these pairs; NaN without them.
     """
 
     pairs: int
     share: float
     near: int
     uneven: float
-    compared: int = 0
-    other_light: float = float("nan")
+    told: int
+    other_light: float
 
 
 def agreement(model: SparseModel, views: Views) -> Agreement:
@@ -74,7 +74,7 @@ def agreement(model: SparseModel, views: Views) -> Agreement:
         light, _, contrast = pictures.compared(pair.one, pair.other, model.points[pair.shared])
         if not len(light) or not 1 / SHARPER < np.median(contrast) < SHARPER:
             continue
-        if pair.farther < FARTHER:
+        if pair.farther < AS_FAR:
             apart, like, _ = pictures.compared(pair.one, pair.other, model.points[pair.rest])
             if len(like) >= FEWEST_POINTS:
                 lit, same = np.abs(apart - np.median(light)) < LIT, like > LIKE
@@ -91,6 +91,12 @@ def agreement(model: SparseModel, views: Views) -> Agreement:
         len(otherwise),
         float(np.median(otherwise)) if otherwise else float("nan"),
     )
+
+
+def times_as_far(one: Camera, other: Camera, points: F64) -> float:
+    """How many times as far as the other camera the first is from points (n, 3), in the median."""
+    away = [np.linalg.norm(points - camera.center, axis=1) for camera in (one, other)]
+    return float(np.median(away[0] / np.maximum(away[1], 1e-12)))
 
 
 @dataclass(frozen=True)
@@ -121,12 +127,13 @@ def _close(model: SparseModel) -> list[_Pair]:
             if one is other or len(shared) < SHARED:
                 continue
             rays = [model.points[shared] - camera.center for camera in (one, other)]
-            away = [np.maximum(np.linalg.norm(ray, axis=1), 1e-12) for ray in rays]
-            cosine = (rays[0] * rays[1]).sum(1) / (away[0] * away[1])
+            cosine = (rays[0] * rays[1]).sum(1) / np.maximum(
+                np.linalg.norm(rays[0], axis=1) * np.linalg.norm(rays[1], axis=1), 1e-12
+            )
             angle = float(np.degrees(np.arccos(np.clip(np.median(cosine), -1, 1))))
             if angle < CLOSE_DEG:
                 rest = _some(np.setdiff1d(a, b))
-                farther = float(np.median(away[0] / away[1]))
+                farther = times_as_far(one, other, model.points[shared])
                 found.append(_Pair(one, other, angle, farther, _some(shared), rest))
     return sorted(found, key=lambda pair: pair.angle)
 

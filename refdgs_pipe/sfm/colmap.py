@@ -18,7 +18,7 @@ from refdgs_pipe.artifacts.placement import Poses
 from refdgs_pipe.sfm import database as base
 from refdgs_pipe.sfm import mapping
 from refdgs_pipe.sfm.evidence import Known, deviation, hold_out, poses_of
-from refdgs_pipe.sfm.poses import Effort, OnProgress, Shots
+from refdgs_pipe.sfm.poses import Effort, Found, OnProgress, Shots
 from refdgs_pipe.sfm.still import Features, Still, find_still
 from refdgs_pipe.sfm.trust import standing, trusted
 
@@ -35,7 +35,7 @@ def reconstruct(
     effort: Effort,
     scratch: Path,
     progress: OnProgress,
-) -> tuple[tuple[Poses, ...], tuple[str, ...]]:
+) -> Found:
     """Place as many of the photos as possible; without a start no poses, but what was matched.
 
     Args:

@@ -15,7 +15,7 @@ from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import F64, Camera
 from refdgs_pipe.errors import PoseError
-from refdgs_pipe.sfm.alike import Agreement, agreement
+from refdgs_pipe.sfm.alike import AS_FAR, Agreement, agreement, times_as_far
 from refdgs_pipe.sfm.gaps import gaps_of
 from refdgs_pipe.sfm.posed import model_from_poses
 from refdgs_pipe.sfm.trust import conflict, groups, reasons
@@ -29,7 +29,6 @@ HELD_PAIRS = 5
 CLOSE_DEG = 10.0  # between the rays of two photos that should look nearly alike
 CLOSE_PAIRS = 5
 CLOSE_SHARE = 0.09  # of the features in the one with fewer, that such photos share
-CLOSE_TIMES = 1.3  # by which their distances may differ: nearer photos show another part, and finer
 APART = 0.1  # of the photos' distance from their middle, between two solutions
 BALL_POINTS = 30  # points in the object ball, each seen by three photos
 BALL_PHOTOS = 0.5  # of the photos that have to see some of them
@@ -121,7 +120,7 @@ def examine(views: Views, placement: Placement, *, least: float) -> Judgement:
     if model is not None and poses is not None:
         if evidence is not None:
             checks.append(_agreeing(conflict(evidence)))
-            checks += [*_held_out(evidence), *_alike(poses, evidence, set(lost))]
+            checks += [*_held_out(evidence), *_alike(model, evidence)]
         if poses.rival is not None:
             checks.append(_two_solutions(poses.rival))
         if evidence is not None:
@@ -140,7 +139,7 @@ def shows_the_same(views: Views, poses: Poses) -> bool | None:
     if model is None or poses.evidence is None:
         return None
     seen = _looking_alike(agreement(model, views))
-    checks = [*_alike(poses, poses.evidence, set(lost)), *seen]
+    checks = [*_alike(model, poses.evidence), *seen]
     if not all(check.is_met for check in checks):
         return False
     return True if seen else None
@@ -255,7 +254,7 @@ def _held_out(evidence: Evidence) -> list[Check]:
     return [Check("contradicting matches in pairs held out", found, share <= HELD_CONFLICT, advice)]
 
 
-def _alike(poses: Poses, evidence: Evidence, lost: set[str]) -> list[Check]:
+def _alike(model: SparseModel, evidence: Evidence) -> list[Check]:
     """Whether photos that were placed close together share features, as neighbours do.
 
     Where an object has equal sides, photos of different sides can get the same place. All their
@@ -263,14 +262,17 @@ def _alike(poses: Poses, evidence: Evidence, lost: set[str]) -> list[Check]:
     Irschara and Bischof 2008).
 
     Args:
-        lost: files whose places are not trusted; their pairs do not count.
+        model: the photos that are trusted; pairs of others do not count, and pairs of a close-up
+            and a photo from afar, which shows more, and coarser.
     """
     a, b = evidence.pairs.T
-    kept = np.array([name not in lost for name in evidence.names])
+    cameras = {f"{camera.name}.png": camera for camera in model.cameras}
+    names = evidence.names
+    kept = np.array([name in cameras for name in names])
     close = (evidence.angle < CLOSE_DEG) & (evidence.shared >= BRIDGE)
     close &= kept[a] & kept[b] & ~np.isnan(evidence.agree)
     close[close] = [
-        _as_far(poses, evidence.names[i], evidence.names[j])
+        _as_far(model, cameras[names[i]], cameras[names[j]])
         for i, j in zip(a[close], b[close], strict=True)
     ]
     if close.sum() < CLOSE_PAIRS:
@@ -288,15 +290,12 @@ def _alike(poses: Poses, evidence: Evidence, lost: set[str]) -> list[Check]:
     ]
 
 
-def _as_far(poses: Poses, one: str, other: str) -> bool:
+def _as_far(model: SparseModel, one: Camera, other: Camera) -> bool:
     """Whether both photos are about as far from the points that both see."""
-    shared = np.intersect1d(poses.tracks[one], poses.tracks[other])
-    away = [
-        np.linalg.norm(poses.points[shared] @ pose[:3, :3].T + pose[:3, 3], axis=1)
-        for pose in (poses.cam_from_world[one], poses.cam_from_world[other])
-    ]
-    times = float(np.median(away[0] / np.maximum(away[1], 1e-12)))
-    return 1 / CLOSE_TIMES < times < CLOSE_TIMES
+    shared = np.intersect1d(model.tracks[one.name], model.tracks[other.name])
+    if not len(shared):
+        return False
+    return 1 / AS_FAR < times_as_far(one, other, model.points[shared]) < AS_FAR
 
 
 def _looking_alike(found: Agreement) -> list[Check]:
@@ -310,8 +309,8 @@ def _looking_alike(found: Agreement) -> list[Check]:
         apart = f"{found.uneven:.0%} in {found.near} pairs, at most {UNEVEN:.0%} are usual"
         name = "difference in light between photos with the same place"
         checks.append(Check(name, apart, found.uneven <= UNEVEN, _EQUAL_SIDES))
-    if found.compared >= NEAR_PAIRS:
-        lit = f"{found.other_light:.0%} in {found.compared} pairs"
+    if found.told >= NEAR_PAIRS:
+        lit = f"{found.other_light:.0%} in {found.told} pairs"
         lit += f", at most {OTHER_LIGHT:.0%} are usual"
         name = "points that look alike but are lit otherwise, in photos with the same place"
         checks.append(Check(name, lit, found.other_light <= OTHER_LIGHT, _EQUAL_SIDES))

@@ -7,10 +7,22 @@ from refdgs_pipe.artifacts.placement import Attempt, Evidence, Placement, Poses
 from refdgs_pipe.camera import F64
 
 OnProgress = Callable[[str, int, int | None], None]
+# Solutions, the best first, and what was found out about the capture, in sentences.
+Found = tuple[tuple[Poses, ...], tuple[str, ...]]
 
 DOUBLED_UP_TO = 1000  # px: of smaller photos the finest features are most of what there is
 
-__all__ = ["Attempt", "Effort", "Evidence", "OnProgress", "Placement", "Posed", "Poses", "Shots"]
+__all__ = [
+    "Attempt",
+    "Effort",
+    "Evidence",
+    "Found",
+    "OnProgress",
+    "Placement",
+    "Posed",
+    "Poses",
+    "Shots",
+]
 
 
 @dataclass(frozen=True)

@@ -14,11 +14,9 @@ from refdgs_pipe.sfm.gate import APART, shows_the_same
 
 
 def settled(views: Views, solutions: tuple[Poses, ...]) -> Poses:
-    """The first solution, or the second where what the photos show refutes only the first.
+    """The first solution, or the second where only that one agrees with what the photos show.
 
     A solution that the photos refute is no evidence against the other: its distance is forgotten.
-    That holds where the other has no photos close together: then none of different sides fell
-    into one place.
 
     Args:
         solutions: one, or two with their distance as `rival`.
@@ -27,6 +25,6 @@ def settled(views: Views, solutions: tuple[Poses, ...]) -> Poses:
     if len(solutions) == 1 or first.rival is None or first.rival <= APART:
         return first
     found = [shows_the_same(views, poses) for poses in solutions]
-    if found.count(False) != 1:
+    if set(found) != {True, False}:
         return first
-    return replace(solutions[1 - found.index(False)], rival=None)
+    return replace(solutions[found.index(True)], rival=None)

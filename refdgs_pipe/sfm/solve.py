@@ -17,7 +17,7 @@ from refdgs_pipe.sfm.mat_pose import found_by_mat, placed_by_mat
 from refdgs_pipe.sfm.pattern.places import ground_repeats, placed_by_pattern
 from refdgs_pipe.sfm.pictures import MaskUse, Pictures, feature_masks
 from refdgs_pipe.sfm.posed import shots_of
-from refdgs_pipe.sfm.poses import Effort
+from refdgs_pipe.sfm.poses import Effort, Found
 from refdgs_pipe.sfm.rivals import settled
 from refdgs_pipe.sfm.trust import standing
 
@@ -29,7 +29,7 @@ _PATTERN = (
     "the ground repeats: the photos are placed by its pattern, and by what tells its repeats apart"
 )
 
-Run = Callable[[dict[str, Any]], tuple[tuple[Poses, ...], tuple[str, ...]]]
+Run = Callable[[dict[str, Any]], Found]
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,8 @@ def solve(
                 "scratch": scratch / f"colmap-{rung.key}",
             }
         )
-        is_first, poses = not so_far.attempts, settled(views, solutions)
+        poses = settled(views, solutions)
+        is_first = not so_far.attempts
         so_far.keep(rung.name, found_by_mat(poses, mat, shots, line_mm=line_mm), said)
         if is_first and so_far.share < GOOD:
             alone = placed_by_mat(mat, shots, line_mm=line_mm)

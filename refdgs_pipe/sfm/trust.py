@@ -19,12 +19,10 @@ POINTS = 15  # points of the model, each seen by three photos or more, that hold
 PARTNERS = 2  # other photos that share some of them
 SHARED = 6  # points that make a photo a partner
 AGAINST = 0.5  # of the evidence on a photo's place, what may speak against it
-FIRM = (
-    100,
-    0.01,
-    0.75,
-)  # points, moves, against: matches of what repeats may outweigh such a place
 MOVES = 0.02  # of its distance, by which a place may move when the other photos give its points
+FIRM_POINTS = 100  # points that hold a place firmly, where it moves
+FIRM_MOVES = 0.01  # by no more than this
+FIRM_AGAINST = 0.75  # of the evidence, what may speak against a place that is held firmly
 FEW_FEATURES = 150  # in a photo
 FEW_SHARED = 15  # features that COLMAP needs for a pair
 
@@ -120,7 +118,8 @@ def _doubt(support: Support, least: int) -> str:
         return f"only {support.points} points that two other photos see too hold its place"
     if support.partners < least:
         return f"shares points with {support.partners} other photo only"
-    if support.against > AGAINST and not _is_firm(support):
+    firm = support.points >= FIRM_POINTS and support.moves <= FIRM_MOVES
+    if support.against > (FIRM_AGAINST if firm else AGAINST):
         return (
             f"{support.against:.0%} of what its matches with other photos say speaks against the "
             "place that was found for it"
@@ -131,12 +130,6 @@ def _doubt(support: Support, least: int) -> str:
             how = "cannot be done"
         return f"its place is not certain: finding it again from what only the others see {how}"
     return ""
-
-
-def _is_firm(support: Support) -> bool:
-    """Whether many points hold the place, the other photos confirm it, and not all contradict."""
-    points, moves, against = FIRM
-    return support.points >= points and support.moves <= moves and support.against <= against
 
 
 def _partners_and_contradiction(evidence: Evidence, file: str) -> tuple[int, float]:

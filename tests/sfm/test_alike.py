@@ -73,7 +73,7 @@ def test_photos_of_one_board_agree_whatever_their_exposure(tmp_path: Path) -> No
     assert same.pairs == 2
     assert same.share > 0.9
     assert same.uneven < 0.02
-    assert same.compared == 2
+    assert same.told == 2
     assert same.other_light < 0.02
     assert found(tmp_path / "b", [board(0), board(0)], [0.9, 0.5]).share > 0.9
 
@@ -88,7 +88,7 @@ def test_light_that_falls_otherwise_does_not_agree(tmp_path: Path) -> None:
     assert uneven.share < 0.5
     assert uneven.near == 2
     assert uneven.uneven > 0.2
-    assert uneven.compared == 2
+    assert uneven.told == 2
     assert uneven.other_light > 0.2
 
 

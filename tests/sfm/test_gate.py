@@ -307,8 +307,8 @@ def test_a_place_that_the_other_photos_do_not_confirm_is_left_out(views: Views) 
 @pytest.mark.parametrize(
     ("seen", "named"),
     [
-        (Agreement(9, 0.3, 0, float("nan")), "points that look alike"),
-        (Agreement(9, 0.8, 4, 0.2), "difference in light"),
+        (Agreement(9, 0.3, 0, float("nan"), 0, float("nan")), "points that look alike"),
+        (Agreement(9, 0.8, 4, 0.2, 0, float("nan")), "difference in light"),
         (Agreement(9, 0.8, 4, 0.02, 4, 0.2), "look alike but are lit otherwise"),
     ],
 )
@@ -324,9 +324,9 @@ def test_close_photos_that_do_not_show_the_same_end_the_run(
 @pytest.mark.parametrize(
     ("seen", "answer"),
     [
-        (Agreement(9, 0.8, 4, 0.02), True),
-        (Agreement(9, 0.3, 4, 0.02), False),
-        (Agreement(0, float("nan"), 0, float("nan")), None),
+        (Agreement(9, 0.8, 4, 0.02, 4, 0.03), True),
+        (Agreement(9, 0.3, 4, 0.02, 4, 0.03), False),
+        (Agreement(0, float("nan"), 0, float("nan"), 0, float("nan")), None),
     ],
 )
 def test_a_solution_shows_the_same_where_close_photos_tell(

@@ -11,7 +11,7 @@ from PIL import Image
 from refdgs_pipe.artifacts.placement import Placement, Poses
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.sfm.pictures import plain_images
-from refdgs_pipe.sfm.poses import Effort
+from refdgs_pipe.sfm.poses import Effort, Found
 from refdgs_pipe.sfm.solve import solve
 
 COUNT = 10
@@ -38,7 +38,7 @@ def climbed(
     """The ladder where the rungs place so many photos, and what each was asked for."""
     left, asked = list(counts), list[Effort]()
 
-    def run(arguments: dict[str, Any]) -> tuple[tuple[Poses, ...], tuple[str, ...]]:
+    def run(arguments: dict[str, Any]) -> Found:
         asked.append(arguments["effort"])
         return (poses(left.pop(0)),), (f"note {len(asked)}",)
 
@@ -86,7 +86,7 @@ def test_a_ground_that_repeats_places_what_features_left(
     monkeypatch.setattr("refdgs_pipe.sfm.solve.ground_repeats", lambda *a: True)
     monkeypatch.setattr("refdgs_pipe.sfm.solve.placed_by_pattern", lambda *a: poses(6))
 
-    def run(arguments: dict[str, Any]) -> tuple[tuple[Poses, ...], tuple[str, ...]]:
+    def run(arguments: dict[str, Any]) -> Found:
         return (poses(2),), ()
 
     pictures = plain_images(views, tmp_path)
