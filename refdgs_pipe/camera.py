@@ -45,7 +45,7 @@ class Camera:
     @property
     def center(self) -> F64:
         """(3,) position in the world."""
-        return np.asarray(self.world_from_cam[:3, 3], np.float64)
+        return center_of(self.cam_from_world)
 
     def resized(self, width: int, height: int) -> "Camera":
         """The same camera for an image resampled to another size."""
@@ -127,6 +127,11 @@ class Lens:
     @property
     def is_pinhole(self) -> bool:
         return not self.distortion.any()
+
+
+def center_of(cam_from_world: F64) -> F64:
+    """(3,) where a camera with this pose (4, 4) stands, world units."""
+    return np.asarray(-cam_from_world[:3, :3].T @ cam_from_world[:3, 3], np.float64)
 
 
 def opencv_from_opengl(world_from_cam: F64) -> F64:

@@ -11,6 +11,7 @@ F64 = NDArray[np.float64]
 
 ONE_SIDED_DEG = 150.0  # of a stretch round the object without a photo
 _ROUNDS = 20
+_FAR = 4.0  # median distances from the middle: what lies farther counts less
 
 
 def y_up_from_z_up(up: F64) -> F64:
@@ -112,15 +113,18 @@ def without_jumps(depth: F32, normal: F32, camera: Camera, slack: float) -> NDAr
 def robust_similarity(source: F64, target: F64) -> F64:
     """(4, 4) similarity that lays points (n, 3) on their partners (n, 3).
 
-    Least squares (Umeyama 1991), pairs that do not fit weighted down in 20 rounds. The points are
-    not all in one line.
+    Least squares (Umeyama 1991), pairs that do not fit weighted down in 20 rounds. A source point
+    far from the others would turn all of them, however small its weight, so its distance counts
+    too. The points are not all in one line.
     """
-    weights = np.ones(len(source))
+    away = np.linalg.norm(source - np.median(source, axis=0), axis=1)
+    near = np.minimum(1.0, (_FAR * np.median(away) + 1e-12) / np.maximum(away, 1e-12)) ** 2
+    weights = near
     world = np.eye(4)
     for _ in range(_ROUNDS):
         world = _similarity(source, target, weights)
         misses = np.linalg.norm(source @ world[:3, :3].T + world[:3, 3] - target, axis=1)
-        weights = 1 / np.maximum(misses, np.median(misses) + 1e-12)
+        weights = near / np.maximum(misses, np.median(misses) + 1e-12)
     return world
 
 

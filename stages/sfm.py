@@ -27,7 +27,7 @@ class SfmParams(Params):
     )
 
 
-@stage(version=10, programs=("pycolmap",))
+@stage(version=11, programs=("pycolmap",))
 def sfm(views: Views, params: SfmParams, job: Job) -> Placement:
     """Place the photos, in harder ways where easier ones leave some out."""
     from refdgs_pipe.child_process import ChildCrashed, call_in_child

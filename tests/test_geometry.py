@@ -9,6 +9,7 @@ from refdgs_pipe.geometry import (
     homography_warp,
     one_sided,
     outline_distance,
+    robust_similarity,
     spread_over,
     through_plane,
     widest_stretch,
@@ -34,6 +35,19 @@ def test_the_widest_stretch_may_go_over_the_back() -> None:
     assert widest_stretch([-90.0, 0.0, 90.0]) == (90.0, 270.0)
     assert widest_stretch([-170.0, 20.0, 170.0]) == (-170.0, 20.0)
     assert widest_stretch([5.0]) == (5.0, 365.0)
+
+
+@pytest.mark.parametrize("wrong", ["source", "target"])
+def test_a_point_a_million_times_farther_away_does_not_turn_the_others(wrong: str) -> None:
+    rng = np.random.default_rng(0)
+    source = rng.normal(size=(32, 3))
+    turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    turn *= np.sign(np.linalg.det(turn))
+    target = 1.7 * source @ turn.T + [3.0, -1.0, 2.0]
+    (source if wrong == "source" else target)[4] = [1e6, 3e5, -2e5]
+    world = robust_similarity(source, target)
+    misses = np.linalg.norm(source @ world[:3, :3].T + world[:3, 3] - target, axis=1)
+    assert np.delete(misses, 4).max() < 1e-3
 
 
 @pytest.mark.parametrize("spread, expected", [(50, True), (100, True), (120, False), (170, False)])

@@ -17,10 +17,10 @@ import pycolmap
 from refdgs_pipe.artifacts.placement import Poses
 from refdgs_pipe.sfm import database as base
 from refdgs_pipe.sfm import mapping
-from refdgs_pipe.sfm.evidence import Known, deviation, hold_out, poses_of
+from refdgs_pipe.sfm.evidence import Known, hold_out, poses_of
 from refdgs_pipe.sfm.poses import Effort, Found, OnProgress, Shots
 from refdgs_pipe.sfm.still import Features, Still, find_still
-from refdgs_pipe.sfm.trust import standing, trusted
+from refdgs_pipe.sfm.trust import deviation, standing, trusted
 
 GOOD = 0.9  # share trusted under which a lenient mapper and the global one are tried too
 CREDIBLE = 0.8  # of the trusted photos: a solution with fewer is no evidence against the other

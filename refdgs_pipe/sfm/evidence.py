@@ -9,11 +9,9 @@ import pycolmap
 from numpy.typing import NDArray
 
 from refdgs_pipe.artifacts.placement import Evidence, Poses
-from refdgs_pipe.camera import F64
-from refdgs_pipe.geometry import robust_similarity
+from refdgs_pipe.camera import F64, center_of
 from refdgs_pipe.sfm.again import Sights, moves
 
-COMMON = 5  # photos in two solutions that can be compared
 HELD_EVERY = 8
 HELD_MATCHES = 30  # verified matches of a pair that is worth holding out
 PARTNERS_LEFT = 6
@@ -103,20 +101,6 @@ def arrays_of(model: Any, mapper: str) -> Poses:
         error_px=float(model.compute_mean_reprojection_error()) if point_ids else 0.0,
         mapper=mapper,
     )
-
-
-def deviation(one: Poses, other: Poses) -> float | None:
-    """How far two solutions put the photos apart: median of the centres' distances after a
-    similarity, by the median distance of the centres from their middle. None below five photos.
-    """
-    both = sorted(set(one.cam_from_world) & set(other.cam_from_world))
-    if len(both) < COMMON:
-        return None
-    a, b = (np.stack([_center(poses.cam_from_world[f]) for f in both]) for poses in (other, one))
-    world = robust_similarity(a, b)
-    misses = np.linalg.norm(a @ world[:3, :3].T + world[:3, 3] - b, axis=1)
-    size = np.median(np.linalg.norm(b - np.median(b, axis=0), axis=1))
-    return float(np.median(misses) / max(float(size), 1e-12))
 
 
 def evidence_of(
@@ -258,13 +242,9 @@ def _shared(
         both = np.intersect1d(tracks[one], tracks[two], assume_unique=True)
         counts[k] = len(both)
         if len(both):
-            rays = [points[both] - _center(poses[name]) for name in (one, two)]
+            rays = [points[both] - center_of(poses[name]) for name in (one, two)]
             cosine = (rays[0] * rays[1]).sum(1) / np.maximum(
                 np.linalg.norm(rays[0], axis=1) * np.linalg.norm(rays[1], axis=1), 1e-12
             )
             angles[k] = np.degrees(np.median(np.arccos(np.clip(cosine, -1, 1))))
     return counts, angles
-
-
-def _center(pose: F64) -> F64:
-    return np.asarray(-pose[:3, :3].T @ pose[:3, 3])

@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from refdgs_pipe.artifacts.placement import Evidence, Poses
+from refdgs_pipe.camera import center_of
+from refdgs_pipe.geometry import robust_similarity
 from refdgs_pipe.sfm.cuts import contradicted_group
 
 POINTS = 15  # points of the model, each seen by three photos or more, that hold a place
@@ -24,6 +26,7 @@ FIRM_POINTS = 100  # points that hold a place firmly, where it moves
 FIRM_MOVES = 0.01  # by no more than this
 FIRM_AGAINST = 0.75  # of the evidence, what may speak against a place that is held firmly
 FEW_FEATURES = 150  # in a photo
+COMMON = 5  # photos in two solutions that can be compared
 FEW_SHARED = 15  # features that COLMAP needs for a pair
 
 
@@ -71,6 +74,28 @@ def trusted(poses: Poses) -> list[str]:
 def standing(poses: Poses) -> tuple[int, int, int]:
     """How much was found: photos that are trusted, photos placed, points. More is better."""
     return len(trusted(poses)), len(poses.cam_from_world), len(poses.points)
+
+
+def deviation(one: Poses, other: Poses) -> float | None:
+    """How far two solutions put the photos apart that both place where they can be trusted.
+
+    Median of the centres' distances after a similarity, by the median distance of the centres from
+    their middle. Where these photos are fewer than five, all that both placed are compared. None
+    if those are fewer too.
+    """
+    placed = set(one.cam_from_world) & set(other.cam_from_world)
+    both = placed & set(trusted(one)) & set(trusted(other))
+    files = sorted(both if len(both) >= COMMON else placed)
+    if len(files) < COMMON:
+        return None
+    a, b = (
+        np.stack([center_of(poses.cam_from_world[file]) for file in files])
+        for poses in (other, one)
+    )
+    world = robust_similarity(a, b)
+    misses = np.linalg.norm(a @ world[:3, :3].T + world[:3, 3] - b, axis=1)
+    size = np.median(np.linalg.norm(b - np.median(b, axis=0), axis=1))
+    return float(np.median(misses) / max(float(size), 1e-12))
 
 
 def reasons(

@@ -15,6 +15,7 @@ from refdgs_pipe.errors import CorruptError, PoseError
 from refdgs_pipe.sfm.alike import Agreement
 from refdgs_pipe.sfm.gaps import gaps_of, lowest_height
 from refdgs_pipe.sfm.gate import check_trusted, examine, shows_the_same
+from refdgs_pipe.sfm.trust import deviation
 
 COUNT, POINTS, SIDE, FOCAL = 12, 400, 64, 80.0
 
@@ -344,3 +345,20 @@ def test_close_photos_that_show_the_same_pass(
     seen = Agreement(9, 0.8, 4, 0.02, 4, 0.03)
     monkeypatch.setattr("refdgs_pipe.sfm.gate.agreement", lambda *_: seen)
     assert examine(views, placement(EVENLY), least=0.7).is_trusted
+
+
+@pytest.mark.parametrize("trusted", [False, True])
+def test_places_that_are_not_trusted_make_no_solution_contradict_another(trusted: bool) -> None:
+    """Seven of twelve photos lie elsewhere in the second solution."""
+    far = np.arange(COUNT) < 7
+    moves = np.where(far & (not trusted), np.inf, 0.001)
+    elsewhere = [
+        place * [-2.0, 3.0, -1.0] if away else place
+        for place, away in zip(EVENLY, far, strict=True)
+    ]
+    names = [f"IMG_{i}.png" for i in range(COUNT)]
+    order = np.argsort(np.array(names))
+    one, other = placement(EVENLY), with_evidence(placement(elsewhere), moves=moves[order])
+    assert one.poses is not None and other.poses is not None
+    apart = deviation(one.poses, other.poses)
+    assert apart is not None and (apart > 0.1) == trusted
