@@ -26,7 +26,7 @@ AGREE, TEXTURED = 0.5, 0.5  # correlation, and degree of texture, of a proof
 SECTORS, APART = 12, 2  # directions; that many apart have to agree
 GAP, FOOT = 0.08, 0.2  # ball radii: narrower gaps are closed, narrower feet are left out
 ALIKE = 0.5  # mean share of the photos that have to agree on the colour of a part
-ONCE = 0.1  # share of a part's cells, at most, whose texture any photo shows
+ONCE = 0.05  # share of the cells inside a part, at most, whose texture any photo shows
 LEAK = 3  # cells by which the texture of its own edge proves a foot's inside
 AROUND, PROVEN = 0.25, 0.4  # ball radii round the places, and the share of it that is proven
 
@@ -127,14 +127,18 @@ def _misleading(found: Bools, colour: F32, seen: F32, once: Bools) -> Bools:
     """(n, n) the parts of what was found on whose colour most photos agree, without texture.
 
     Args:
-        once: (n, n) cells whose texture at least one photo shows.
+        once: (n, n) cells whose texture at least one photo shows. Near the edge of a part they do
+            not count: the texture there may be that of the plane beside it.
     """
     known = np.isfinite(seen[..., 0]) & np.isfinite(colour[..., 0])
     near = (np.abs(seen - colour).max(-1) < TOLERANCES[1]) & known
     share = near.sum(0) / np.maximum(known.sum(0), 1)
     count, parts = cv2.connectedComponents(found.astype(np.uint8))
     sizes = np.maximum(np.bincount(parts.ravel(), minlength=count), 1)
-    alike, shown = (np.bincount(parts.ravel(), v.ravel(), count) / sizes for v in (share, once))
+    alike = np.bincount(parts.ravel(), share.ravel(), count) / sizes
+    inside = np.where(cv2.erode(found.astype(np.uint8), _disc(2 * LEAK + 1)) > 0, parts, 0)
+    cells = np.maximum(np.bincount(inside.ravel(), minlength=count), 1)
+    shown = np.bincount(inside.ravel(), once.ravel(), count) / cells
     wanted = (alike >= ALIKE) & (shown <= ONCE)
     wanted[0] = False
     return np.asarray(wanted[parts])

@@ -1,12 +1,13 @@
 """What lies below an object counts as the plane only if its texture proves it."""
 
+import cv2
 import numpy as np
 import pytest
 from boxes import BODY, GROUND, REACH, TABLE, WHITE, Box, N, cameras, shown
 
 from refdgs_pipe.ground.shots import F32, Bools
 from refdgs_pipe.masking.beyond import LEAST, _proof
-from refdgs_pipe.masking.unproven import below, proven, shown_from, unproven
+from refdgs_pipe.masking.unproven import LEAK, _misleading, below, proven, shown_from, unproven
 
 # Its lower half has the mean colour of the table, as a blurred reflection of it has.
 GREY: Box = ((-0.4, -0.3, 0.0), (0.4, 0.3, 0.35), TABLE)
@@ -44,6 +45,15 @@ def test_a_place_whose_texture_some_photos_show_is_no_foot(monkeypatch: pytest.M
     assert not found(seen).any()
     monkeypatch.setattr("refdgs_pipe.masking.unproven.ONCE", 1.0)
     assert found(seen).any()
+
+
+def test_texture_at_the_edge_of_a_part_does_not_speak_against_a_foot() -> None:
+    seen = shown([GREY, HEAD])
+    colour = np.asarray(np.median(seen, axis=0))
+    part = unproven(colour, seen, GROUND, cameras(), 1.0)
+    core = cv2.distanceTransform(part.astype(np.uint8), cv2.DIST_L2, 5) > LEAK
+    assert (_misleading(part, colour, seen, part & ~core) == part).all()
+    assert not _misleading(part, colour, seen, part).any()
 
 
 def test_nothing_is_found_on_an_empty_plane_nor_below_what_hangs_high() -> None:
