@@ -10,13 +10,16 @@ from numpy.typing import NDArray
 from refdgs_pipe.artifacts.placement import Poses
 from refdgs_pipe.artifacts.sparse_model import Ball, Lost, SparseModel
 from refdgs_pipe.artifacts.views import View, Views
-from refdgs_pipe.camera import F64, Camera, Lens
+from refdgs_pipe.camera import F64, Camera, Lens, center_of
 from refdgs_pipe.files.colmap import opencv_lens
 from refdgs_pipe.geometry import one_sided
 from refdgs_pipe.sfm.ball import grown_ball, object_ball
 from refdgs_pipe.sfm.frame import moved, world_from_sfm
 from refdgs_pipe.sfm.poses import Shots
 from refdgs_pipe.sfm.support import level_up, off_planes, support_plane
+from refdgs_pipe.vectors import unit
+
+PARALLEL_DEG = 0.5  # between the rays of photos, below which they tell no point's place
 
 
 def shots_of(views: Views, sizes: Mapping[str, tuple[int, int]]) -> tuple[Shots, ...]:
@@ -48,7 +51,7 @@ def model_from_poses(
 
     Args:
         lost: file name -> why it has no trusted place; these photos are left out, and with them
-            the points that fewer than two others see.
+            the points that fewer than two others see, or that these see in one direction.
         up: (3,) unit vector in the frame of the poses, where something told it.
     """
     by_file = {f"{view.name}.png": view for view in views.items}
@@ -82,16 +85,26 @@ def model_from_poses(
 def _seen_points(
     poses: Poses, kept: list[str]
 ) -> tuple[F64, NDArray[np.uint8], dict[str, NDArray[np.int64]]]:
-    """The points that two of these photos or more see; all of them where every photo is kept."""
+    """The points that two of these photos or more see from different directions.
+
+    A photo that was put far away can hold points there, at which the others look in parallel. With
+    that photo the points go. Where every photo is kept, all points are.
+    """
     tracks = {file: poses.tracks[file] for file in kept}
     if len(kept) == len(poses.cam_from_world):
         return poses.points, poses.colors, tracks
     times = np.zeros(len(poses.points), np.int64)
-    for track in tracks.values():
+    first = np.zeros((len(poses.points), 3))
+    apart = np.zeros(len(poses.points), bool)
+    for file, track in tracks.items():
+        rays = unit(poses.points[track] - center_of(poses.cam_from_world[file]))
+        again = times[track] > 0
+        apart[track] |= again & ((rays * first[track]).sum(1) < np.cos(np.radians(PARALLEL_DEG)))
+        first[track] = np.where(again[:, None], first[track], rays)
         times[track] += 1
-    index = np.cumsum(times >= 2) - 1
-    tracks = {file: index[track[times[track] >= 2]] for file, track in tracks.items()}
-    return poses.points[times >= 2], poses.colors[times >= 2], tracks
+    index = np.cumsum(apart) - 1
+    tracks = {file: index[track[apart[track]]] for file, track in tracks.items()}
+    return poses.points[apart], poses.colors[apart], tracks
 
 
 def in_world_frame(model: SparseModel, views: Views, *, up: F64 | None = None) -> SparseModel:

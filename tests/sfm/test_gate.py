@@ -362,3 +362,19 @@ def test_places_that_are_not_trusted_make_no_solution_contradict_another(trusted
     assert one.poses is not None and other.poses is not None
     apart = deviation(one.poses, other.poses)
     assert apart is not None and (apart > 0.1) == trusted
+
+
+def test_points_that_only_a_photo_far_away_told_apart_go_with_it(views: Views) -> None:
+    """Otherwise photos that see them seem to stand in one place."""
+    rng = np.random.default_rng(2)
+    far = np.array([3e5, 1e5, 0.0]) + rng.normal(0, 1.0, (40, 3))
+    points = np.concatenate([rng.normal(0, 0.35, (POINTS, 3)), far])
+    found = placement([*EVENLY[:-1], np.array([4e5, 1e5, 0.0])], points)
+    stray = f"IMG_{COUNT - 1}.png"
+    assert found.poses is not None and found.poses.evidence is not None
+    moves = np.where(np.array(found.poses.evidence.names) == stray, np.inf, 0.001)
+    judgement = examine(views, with_evidence(found, moves=moves), least=0.7)
+    assert list(judgement.lost) == [stray.removesuffix(".png")]
+    model = judgement.model
+    assert model is not None and 0.9 * POINTS < len(model.points) <= POINTS
+    assert np.linalg.norm(model.points - model.ball.center, axis=1).max() < 10
