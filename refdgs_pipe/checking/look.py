@@ -160,7 +160,7 @@ def _placed(
         """The answer of the first rung; harder rungs place nothing."""
         nonlocal asked
         if asked:
-            return (_nowhere(),), ()
+            return _nowhere(), ()
         asked = True
         target, limit = "refdgs_pipe.sfm.colmap:reconstruct", TIME_LIMIT_S
         try:
@@ -169,7 +169,7 @@ def _placed(
             )
         except (ChildCrashed, ChildTimeout) as error:
             note = f"the quick try ended early: {str(error).splitlines()[0]}"
-            return (_nowhere(),), (note,)
+            return _nowhere(), (note,)
         return found
 
     effort = Effort(SIDE, FEATURES, -1, threads)

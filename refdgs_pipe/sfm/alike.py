@@ -3,7 +3,8 @@
 Where an object has equal sides, photos of different sides can get the same place, and all their
 matches agree. What differs between the sides has no match (missing correspondences: Zach, Irschara
 and Bischof 2008). So the points that one photo sees and the other has no match for are looked up
-in both. If the places are right, both show the same pattern there, equally lit.
+in both. If the places are right, both show the same pattern there, equally lit. Where even the
+matched points do not look alike, false matches made the pair seem close, and it tells nothing.
 """
 
 from dataclasses import dataclass
@@ -32,6 +33,7 @@ FEWEST_ALIKE = 8  # of these, to say how many of them are lit otherwise
 HALF = 6  # pixels, of a patch
 CONTRAST = 0.016  # standard deviation of a patch that tells anything, sRGB
 LIKE = 0.5  # correlation of two patches that show the same
+MATCHED = 0.5  # share of the points that both see, which look alike where such a pair can tell
 LIT = 0.25  # difference of the logarithms of their light, beside that of the shared points
 SHARPER = 1.6  # times the contrast of what both see: such photos are not equally sharp
 AS_FAR = 1.3  # times: what a photo from farther away sees is hidden from the nearer one
@@ -71,8 +73,10 @@ def agreement(model: SparseModel, views: Views) -> Agreement:
     for pair in _close(model)[:MOST_PAIRS]:
         if pair.angle >= NARROW_DEG and len(shares) >= ENOUGH:
             break
-        light, _, contrast = pictures.compared(pair.one, pair.other, model.points[pair.shared])
+        light, like, contrast = pictures.compared(pair.one, pair.other, model.points[pair.shared])
         if not len(light) or not 1 / SHARPER < np.median(contrast) < SHARPER:
+            continue
+        if (like > LIKE).mean() < MATCHED:
             continue
         if pair.farther < AS_FAR:
             apart, like, _ = pictures.compared(pair.one, pair.other, model.points[pair.rest])

@@ -44,8 +44,7 @@ def reconstruct(
         scratch: a folder for the database and the models; what is in it is replaced.
 
     Returns:
-        The solution with the most trusted photos, and after it another mapper's, if that one has
-        about as many; and notes: what was found out about the capture, in sentences.
+        The poses, and notes: what was found out about the capture, in sentences.
     """
     pycolmap.logging.minloglevel = 2
     pycolmap.set_random_seed(base.SEED)
@@ -71,24 +70,17 @@ def reconstruct(
         best = max(best, solver.further(whole, "whole further"), key=_standing)
     if _standing(best)[0] < GOOD * len(files):
         best = max(best, solver.anew("few", lenient=True), key=_standing)
-    solutions: tuple[Poses, ...] = (best.poses,)
+    poses = best.poses
     if _standing(best)[0] < GOOD * len(files):
         progress("solving all poses at once", 0, None)
         model = mapping.all_at_once(database, images, scratch / "global")
         if model is not None:
             known = Known(still.share, frozenset())
             found = poses_of(mapping.refined(model), "global", database, known)
-            solutions = _ranked(best.poses, found)
-    return solutions, _notes(still)
-
-
-def _ranked(poses: Poses, found: Poses) -> tuple[Poses, ...]:
-    """The solution with more trusted photos; and the other, if it has about as many."""
-    ranked = sorted((poses, found), key=standing, reverse=True)
-    if standing(found)[0] < CREDIBLE * standing(poses)[0]:
-        return (ranked[0],)
-    rival = deviation(poses, found)
-    return tuple(replace(solution, rival=rival) for solution in ranked)
+            credible = standing(found)[0] >= CREDIBLE * standing(poses)[0]
+            rival = deviation(poses, found) if credible else None
+            poses = replace(max(poses, found, key=standing), rival=rival)
+    return poses, _notes(still)
 
 
 @dataclass(frozen=True)

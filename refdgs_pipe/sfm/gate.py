@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from refdgs_pipe.artifacts.placement import Evidence, Placement, Poses
+from refdgs_pipe.artifacts.placement import Evidence, Placement
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import F64, Camera
@@ -130,19 +130,6 @@ def examine(views: Views, placement: Placement, *, least: float) -> Judgement:
         gaps = gaps_of(model, {view.name: view.source or view.name for view in views.items})
     names = {file: file.removesuffix(".png") for file in said}
     return Judgement(model, {names[f]: why for f, why in lost.items()}, tuple(checks), gaps)
-
-
-def shows_the_same(views: Views, poses: Poses) -> bool | None:
-    """Whether photos that were placed close together show the same; None: it cannot be told."""
-    lost = reasons(poses, poses.evidence, _files(views))
-    model = _model(views, Placement(poses), lost)
-    if model is None or poses.evidence is None:
-        return None
-    seen = _looking_alike(agreement(model, views))
-    checks = [*_alike(model, poses.evidence), *seen]
-    if not all(check.is_met for check in checks):
-        return False
-    return True if seen else None
 
 
 def check_trusted(views: Views, judgement: Judgement, *, attempts: int) -> SparseModel:

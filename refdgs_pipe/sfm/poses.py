@@ -7,8 +7,8 @@ from refdgs_pipe.artifacts.placement import Attempt, Evidence, Placement, Poses
 from refdgs_pipe.camera import F64
 
 OnProgress = Callable[[str, int, int | None], None]
-# Solutions, the best first, and what was found out about the capture, in sentences.
-Found = tuple[tuple[Poses, ...], tuple[str, ...]]
+# The poses, and what was found out about the capture, in sentences.
+Found = tuple[Poses, tuple[str, ...]]
 
 DOUBLED_UP_TO = 1000  # px: of smaller photos the finest features are most of what there is
 

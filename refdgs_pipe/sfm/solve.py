@@ -18,7 +18,6 @@ from refdgs_pipe.sfm.pattern.places import ground_repeats, placed_by_pattern
 from refdgs_pipe.sfm.pictures import MaskUse, Pictures, feature_masks
 from refdgs_pipe.sfm.posed import shots_of
 from refdgs_pipe.sfm.poses import Effort, Found
-from refdgs_pipe.sfm.rivals import settled
 from refdgs_pipe.sfm.trust import standing
 
 GOOD = 0.9  # share of photos trusted above which the slow rungs are not worth their time
@@ -82,7 +81,7 @@ def solve(
     for rung in _rungs(effort, masks, is_masked=views.background != "photo"):
         if not rung.only_from <= so_far.share < rung.only_below:
             continue
-        solutions, said = run(
+        poses, said = run(
             {
                 "images": pictures.folder,
                 "shots": shots,
@@ -91,7 +90,6 @@ def solve(
                 "scratch": scratch / f"colmap-{rung.key}",
             }
         )
-        poses = settled(views, solutions)
         is_first = not so_far.attempts
         so_far.keep(rung.name, found_by_mat(poses, mat, shots, line_mm=line_mm), said)
         if is_first and so_far.share < GOOD:

@@ -34,9 +34,10 @@ def seen(pose: Camera, board: F64, light: float) -> np.ndarray:
 
 
 def found(folder: Path, boards: list[F64], lights: list[F64 | float]) -> Agreement:
-    """Two photos from nearly the same place, each of its own board."""
+    """Two photos from nearly the same place, each of its own board; both see the middle points."""
     rng = np.random.default_rng(1)
     points = np.concatenate([rng.uniform(-0.9, 0.9, (200, 2)), np.zeros((200, 1))], 1)
+    points = points[np.argsort(points[:, 0])]
     items, cameras = [], []
     (folder / "images").mkdir(parents=True)
     for i, board in enumerate(boards):
@@ -78,8 +79,17 @@ def test_photos_of_one_board_agree_whatever_their_exposure(tmp_path: Path) -> No
     assert found(tmp_path / "b", [board(0), board(0)], [0.9, 0.5]).share > 0.9
 
 
-def test_photos_of_two_boards_in_one_place_do_not_agree(tmp_path: Path) -> None:
-    assert found(tmp_path, [board(0), board(1)], [1.0, 1.0]).share < 0.1
+def test_photos_of_two_boards_with_a_common_part_in_one_place_do_not_agree(tmp_path: Path) -> None:
+    other, common = board(1), slice(512 // 2 - 24, 512 // 2 + 24)
+    other[:, common] = board(0)[:, common]
+    two = found(tmp_path, [board(0), other], [1.0, 1.0])
+    assert two.pairs == 2
+    assert two.share < 0.4
+
+
+def test_photos_whose_matched_points_do_not_look_alike_tell_nothing(tmp_path: Path) -> None:
+    """False matches made them seem close."""
+    assert found(tmp_path, [board(0), board(1)], [1.0, 1.0]).pairs == 0
 
 
 def test_light_that_falls_otherwise_does_not_agree(tmp_path: Path) -> None:
@@ -124,19 +134,19 @@ def _agreement_of(
         def __init__(self, *_: object) -> None:
             pass
 
-        def compared(self, one: Camera, *_: object) -> tuple[F64, F64, F64]:
-            like = float(one.name)
+        def compared(self, one: Camera, _: object, points: F64) -> tuple[F64, F64, F64]:
+            like = float(one.name) if points[0, 0] == 1 else 1.0
             return np.zeros(40), np.full(40, like), np.ones(40)
 
     def found_pairs(_: object) -> list[alike._Pair]:
-        rows = np.zeros(20, np.int64)
+        shared, rest = np.zeros(20, np.int64), np.ones(20, np.int64)
         cameras = [camera(str(like), 0.0) for _, _, like in pairs]
         return [
-            alike._Pair(one, one, angle, farther, rows, rows)
+            alike._Pair(one, one, angle, farther, shared, rest)
             for one, (angle, farther, _) in zip(cameras, pairs, strict=True)
         ]
 
     monkeypatch.setattr(alike, "_close", found_pairs)
     monkeypatch.setattr(alike, "_Pictures", Pictures)
-    model = SimpleNamespace(points=np.zeros((1, 3)))
+    model = SimpleNamespace(points=np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]]))
     return agreement(model, None)  # type: ignore[arg-type]

@@ -14,7 +14,7 @@ from refdgs_pipe.camera import F64
 from refdgs_pipe.errors import CorruptError, PoseError
 from refdgs_pipe.sfm.alike import Agreement
 from refdgs_pipe.sfm.gaps import gaps_of, lowest_height
-from refdgs_pipe.sfm.gate import check_trusted, examine, shows_the_same
+from refdgs_pipe.sfm.gate import check_trusted, examine
 from refdgs_pipe.sfm.trust import deviation
 
 COUNT, POINTS, SIDE, FOCAL = 12, 400, 64, 80.0
@@ -320,23 +320,6 @@ def test_close_photos_that_do_not_show_the_same_end_the_run(
     judgement = examine(views, placement(EVENLY), least=0.7)
     with pytest.raises(PoseError, match=f"{named}.*\n?.*Photos of different sides"):
         check_trusted(views, judgement, attempts=1)
-
-
-@pytest.mark.parametrize(
-    ("seen", "answer"),
-    [
-        (Agreement(9, 0.8, 4, 0.02, 4, 0.03), True),
-        (Agreement(9, 0.3, 4, 0.02, 4, 0.03), False),
-        (Agreement(0, float("nan"), 0, float("nan"), 0, float("nan")), None),
-    ],
-)
-def test_a_solution_shows_the_same_where_close_photos_tell(
-    views: Views, seen: Agreement, answer: bool | None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("refdgs_pipe.sfm.gate.agreement", lambda *_: seen)
-    poses = placement(EVENLY).poses
-    assert poses is not None
-    assert shows_the_same(views, poses) is answer
 
 
 def test_close_photos_that_show_the_same_pass(

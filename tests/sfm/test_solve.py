@@ -40,7 +40,7 @@ def climbed(
 
     def run(arguments: dict[str, Any]) -> Found:
         asked.append(arguments["effort"])
-        return (poses(left.pop(0)),), (f"note {len(asked)}",)
+        return poses(left.pop(0)), (f"note {len(asked)}",)
 
     found = solve(views, plain_images(views, folder), effort, masks="auto", scratch=folder, run=run)
     return found, asked
@@ -87,7 +87,7 @@ def test_a_ground_that_repeats_places_what_features_left(
     monkeypatch.setattr("refdgs_pipe.sfm.solve.placed_by_pattern", lambda *a: poses(6))
 
     def run(arguments: dict[str, Any]) -> Found:
-        return (poses(2),), ()
+        return poses(2), ()
 
     pictures = plain_images(views, tmp_path)
     found = solve(views, pictures, PLAIN, masks="auto", scratch=tmp_path, run=run)
@@ -109,7 +109,7 @@ def test_a_pattern_that_places_less_than_features_ends_nothing(
         PLAIN,
         masks="auto",
         scratch=tmp_path,
-        run=lambda arguments: ((poses(next(places)),), ()),
+        run=lambda arguments: (poses(next(places)), ()),
     )
     assert found.poses is not None and len(found.poses.cam_from_world) == 7
     assert len(found.attempts) == 5
