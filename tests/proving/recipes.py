@@ -126,6 +126,8 @@ RECIPES = {
     "bolt": Recipe(o.nut, papers, "attic", b.from_low, seed=503, photos=26),
     "casserole": Recipe(o.pot, p.planks, "office", b.near_and_far, seed=601, photos=28),
     "platter": Recipe(h.plate, p.planks, "square", b.turned, seed=603, photos=28),
+    "goblet": Recipe(m.trophy, p.gingham, "studio", p.rings, seed=905),
+    "hound": Recipe(s.dog, p.planks, "office", p.rings, seed=901),
     "mat": Recipe(k.vase, p.placemat, "attic", p.spiral, seed=81, checking=True),
     "label": Recipe(
         w.medicine,
