@@ -179,7 +179,7 @@ _ASPECTS = (
         lambda e: e.seen,
         0.45,
         0.75,
-        lambda e: f"{e.seen:.0%}, nobody saw {e.unseen:.0%}",
+        lambda e: f"{e.seen:.0%} is well known, nobody saw {e.unseen:.0%}",
         "take more photos of the places that the section Coverage of the report shows in red and "
         "yellow",
         (

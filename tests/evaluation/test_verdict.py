@@ -56,6 +56,9 @@ def test_one_figure_decides_and_comes_first_with_advice(figure: str) -> None:
 def test_findings_are_told_in_plain_words() -> None:
     found = judged(replace(FINE, psnr=24.0, training_psnr=24.0))
     assert found.findings[0].text == "sharpness against unseen photos: fair, 24 dB on the object"
+    shape = judged(replace(FINE, seen=0.67, unseen=0.03)).findings[0]
+    assert shape.plain == "The shape of some of the surface is a guess"
+    assert shape.value == "67% is well known, nobody saw 3%"  # not: 67% is a guess
     assert (
         judged(replace(FINE, psnr=24.0, training_psnr=24.0), draft=True).line
         == "fair: a first look"
