@@ -8,12 +8,14 @@ Collins 1996); where they show nothing like it at any, the pixel is something el
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import label
+from scipy.ndimage import mean as mean_of
 
 from refdgs_pipe.artifacts.sparse_model import Ball
 from refdgs_pipe.camera import F64
 from refdgs_pipe.geometry import homography_warp, through_plane
-from refdgs_pipe.ground.shots import F32, Bools, Shot, box_around, mapped
-from refdgs_pipe.masking.table import LIMIT, TEXTURE, Evidence, alike, contrast, smooth
+from refdgs_pipe.ground.shots import F32, Bools, Shot, box_around, grown, mapped
+from refdgs_pipe.masking.table import LIMIT, SPREAD, TEXTURE, Evidence, alike, contrast, smooth
 
 NEIGHBOURS = 5
 LEAST_DEG, MOST_DEG = 7.0, 50.0  # between the directions to neighbours
@@ -25,6 +27,23 @@ EVEN = 0.6  # likeness that speaks for neither
 TEXTURE_PATCH = 1.3  # pixels (sigma) over which texture is measured
 TEXTURED = 0.5  # share of the usual texture beside the object at which likeness counts in full
 LEAST = 0.5  # weight of likeness without any texture
+PLAIN = 0.03  # contrast of log brightness below which a place has no texture
+ONE_COLOUR = 0.02  # log colour: by how much the room differs on both sides of something thin
+NEARLY = 2 * SPREAD  # log colour: what differs from a plain room by more is not like it by chance
+EDGES = 4  # pixels of the edge that separates a place, which show neither
+AROUND = 0.125  # of the judged part's longer side, over which the room's plain colour is averaged
+
+
+@dataclass(frozen=True)
+class Room(Evidence):
+    """Evidence beside the plane.
+
+    Args:
+        apart: (H, W) plain places that edges separate from the room, with another colour: a mirror
+            shows a plain room so.
+    """
+
+    apart: Bools
 
 
 @dataclass(frozen=True)
@@ -36,9 +55,7 @@ class _Neighbour:
     free: F32
 
 
-def shown_room(
-    shots: list[Shot], ball: Ball, cover: list[Bools], threads: int = 1
-) -> list[Evidence]:
+def shown_room(shots: list[Shot], ball: Ball, cover: list[Bools], threads: int = 1) -> list[Room]:
     """The evidence of whole photos near the object.
 
     Args:
@@ -52,10 +69,10 @@ def shown_room(
         for shot, hidden in zip(shots, cover, strict=True)
     ]
 
-    def judge(i: int) -> Evidence:
+    def judge(i: int) -> Room:
         shot = shots[i]
         value = np.zeros(shot.valid.shape, np.float32)
-        known = np.zeros(shot.valid.shape, bool)
+        known, apart = np.zeros((2, *shot.valid.shape), bool)
         box = box_around(cover[i], MARGIN)
         order = np.argsort(np.where(angles[i] > LEAST_DEG, angles[i], 999))[:NEIGHBOURS]
         near = [all_photos[j] for j in order if LEAST_DEG < angles[i, j] < MOST_DEG]
@@ -63,16 +80,19 @@ def shown_room(
             first = float(np.linalg.norm(centers[i])) + BEHIND * ball.radius
             left, right, top, bottom = box
             part = (slice(top, bottom), slice(left, right))
+            logs, free = shot.logs[part], all_photos[i].free[part] > 0
+            apart[part] = _set_apart(np.ascontiguousarray(logs), free)
             value[part], known[part] = _judged(all_photos[i], near, box, 1 / first)
-        return Evidence(value, known)
+        return Room(np.where(apart, np.minimum(value, 0), value), known, apart)
 
     out = mapped(judge, range(len(shots)), threads)
     if _moves(out, cover):  # a turntable: the room turns about what is fixed in the poses
-        return [Evidence(np.zeros_like(e.value), np.zeros_like(e.known)) for e in out]
+        unknown = [np.zeros_like(e.known) for e in out]
+        return [Room(0 * e.value, no, no) for e, no in zip(out, unknown, strict=True)]
     return out
 
 
-def _moves(evidence: list[Evidence], cover: list[Bools]) -> bool:
+def _moves(evidence: list[Room], cover: list[Bools]) -> bool:
     """Whether even what shows no object is mostly like nothing that other photos see."""
     beside = [e.value[e.known & ~c] for e, c in zip(evidence, cover, strict=True)]
     values = np.concatenate(beside)
@@ -120,6 +140,38 @@ def _proof(logs: F32, beside: Bools) -> F32:
     texture = contrast(logs.mean(-1), TEXTURE_PATCH)
     usual = min(float(np.median(texture[beside])), TEXTURE) if beside.any() else 0.0
     return np.asarray(np.clip(texture / max(TEXTURED * usual, 1e-4), LEAST, 1), np.float32)
+
+
+def _set_apart(logs: F32, free: Bools) -> Bools:
+    """(H, W) plain places that edges separate from the room, and whose colour is another.
+
+    A mirror shows a plain room with nearly the room's colour. What a hole shows of the room has the
+    colour of the room beside it. Where the room varies by as much, nothing can be said.
+
+    Args:
+        logs: (H, W, 3) the photo, log colour; free: (H, W) its pixels beside the object.
+    """
+    plain = contrast(logs.mean(-1), TEXTURE_PATCH) < PLAIN
+    parts, count = label(plain)
+    joined = plain & np.isin(parts, np.unique(parts[plain & free]))
+    if not count or not joined.any():
+        return np.zeros_like(plain)
+    sigma = AROUND * max(plain.shape)
+    weight = np.maximum(smooth(joined.astype(np.float32), sigma), 1e-6)[..., None]
+    room = smooth(logs * joined[..., None], sigma) / weight
+    off = (logs - room).astype(np.float32)
+    spread = (smooth(off**2 * joined[..., None], sigma) / weight).astype(np.float32)
+
+    def of_parts(values: F32) -> F32:
+        """(H, W) the largest channel's mean (H, W, 3) over each part; 0 between them."""
+        means = [
+            mean_of(channel, parts, range(1, count + 1)) for channel in np.moveaxis(values, -1, 0)
+        ]
+        return np.asarray(np.append(0, np.abs(means).max(0))[parts], np.float32)
+
+    apart, varies = of_parts(off), np.sqrt(of_parts(spread))
+    mirrors = plain & ~joined & (apart > np.maximum(ONE_COLOUR, varies)) & (apart < NEARLY)
+    return np.asarray(grown(mirrors, EDGES) & (mirrors | ~plain), np.bool_)
 
 
 def _shift(left: float, top: float) -> F64:

@@ -9,6 +9,7 @@ from refdgs_pipe.ground.shots import F32, Bools, Shot, grown
 BINS = 20  # along each axis of Lab
 RARE = 2e-5  # probability of a colour that was never seen
 LIMIT = 2.5
+COLOUR = 0.5  # of the evidence: colours
 OWN = 0.7  # how much a photo's own colours count beside those of all
 
 
@@ -42,6 +43,22 @@ def colour_evidence(
         odds = np.log((_looked_up(behind, lab) + RARE) / (_looked_up(own, lab) + RARE))
         out.append(odds.clip(-LIMIT, LIMIT).astype(np.float32))
     return out
+
+
+def with_colour(value: F32, colour: F32, near: Bools, covers: Bools) -> F32:
+    """(H, W) the evidence of the surroundings, and that of colours where it is weak.
+
+    Args:
+        value: (H, W) log odds of the plane or the room; colour: (H, W) those by colours alone.
+        near: (H, W) near the outline; far from it colours tell of the surroundings only.
+        covers: (H, W) where the object may mirror what is round it: colours tell of the object
+            only.
+    """
+    doubt = np.clip(1 - np.abs(value) / 2, 0, 1)
+    told = np.where(covers, np.minimum(colour, 0), colour)
+    return np.asarray(
+        value + COLOUR * doubt * np.where(near, told, np.maximum(told, 0)), np.float32
+    )
 
 
 def _lab(rgb: F32) -> F32:

@@ -22,8 +22,8 @@ from refdgs_pipe.ground.shots import (
     resized,
     whole_shots,
 )
-from refdgs_pipe.masking.beyond import shown_room
-from refdgs_pipe.masking.colours import colour_evidence
+from refdgs_pipe.masking.beyond import Room, shown_room
+from refdgs_pipe.masking.colours import colour_evidence, with_colour
 from refdgs_pipe.masking.cut import cut, without_false_holes
 from refdgs_pipe.masking.foot import WIDE, Foot, foot
 from refdgs_pipe.masking.levels import LAST, LEVELS, Level
@@ -51,7 +51,7 @@ NARROW = 1.9  # reaches of the solid, later, at least
 BEHIND = 1.0  # of a point's height above the plane: how far behind it photos show the plane
 BAND = 0.02  # of a photo's longer side: how far an outline may be off
 CERTAIN = 1.0  # evidence for the object, from which on a photo has to show something solid
-COLOUR, PRIOR = 0.5, 0.75  # of the evidence: colours, and the solid's silhouette
+PRIOR = 0.75  # of the evidence: the solid's silhouette
 INNER = 0.7  # of the silhouette's prior inside, at last
 FREE = 0.3  # of a mask, above which it denies nothing
 EDGE = 0.5  # of a cell: so far inside its outline the solid is sure
@@ -74,7 +74,7 @@ class Found:
 
     masks: list[F32]
     outlines: list[Bools]
-    room: list[Evidence] | None
+    room: list[Room] | None
     reach: float
     ball: Ball
     shadows: list[Bools] | None = None
@@ -132,22 +132,6 @@ def agreement(found: Found) -> tuple[float, float]:
         union = int((inside | outline).sum())
         shares.append(float((inside & outline).sum()) / union if union else 0.0)
     return float(np.mean(shares)), float(np.quantile(shares, 0.1))
-
-
-def with_colour(value: F32, colour: F32, near: Bools, covers: Bools) -> F32:
-    """(H, W) the evidence of the surroundings, and that of colours where it is weak.
-
-    Args:
-        value: (H, W) log odds of the plane or the room; colour: (H, W) those by colours alone.
-        near: (H, W) near the outline; far from it colours tell of the surroundings only.
-        covers: (H, W) where the object stands: colours tell of the object only, for it may mirror
-            the plane.
-    """
-    doubt = np.clip(1 - np.abs(value) / 2, 0, 1)
-    told = np.where(covers, np.minimum(colour, 0), colour)
-    return np.asarray(
-        value + COLOUR * doubt * np.where(near, told, np.maximum(told, 0)), np.float32
-    )
 
 
 class _Worker:
@@ -266,10 +250,16 @@ class _Worker:
         """(H, W) the evidence, and that of colours where it is weak; far off only one way."""
         outlines = self._parts_of(found.outlines)
         colours = colour_evidence(self.shots, self._parts(found.masks), outlines, self.band)
+        apart = [shot.valid & False for shot in self.shots]
+        if found.room is not None:
+            apart = self._parts_of([room.apart for room in found.room])
         out = []
-        given = zip(self.shots, evidence, colours, outlines, self.band, strict=True)
-        for shot, one, colour, outline, band in given:
-            near, covers = grown(outline, 2 * band), self.table.drawn_cover(shot)
+        given = zip(self.shots, evidence, colours, outlines, apart, self.band, strict=True)
+        for shot, one, colour, outline, alone, band in given:
+            near, covers = (
+                grown(outline, 2 * band),
+                self.table.drawn_cover(shot) | alone & ~one.known,
+            )
             out.append(with_colour(one.value, colour, near, covers))
         return out
 
@@ -348,7 +338,7 @@ class _Worker:
         masks: list[F32],
         outlines: list[Bools],
         solid: Bools,
-        room: list[Evidence] | None,
+        room: list[Room] | None,
     ) -> Found:
         """The same for whole photos."""
         points = self.cells.points[solid]

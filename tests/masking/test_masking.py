@@ -16,9 +16,10 @@ from refdgs_pipe.camera import Camera, Lens
 from refdgs_pipe.errors import CorruptError, InputError
 from refdgs_pipe.ground.shots import Shot
 from refdgs_pipe.masking import foot, rounds
+from refdgs_pipe.masking.colours import with_colour
 from refdgs_pipe.masking.cut import cut
 from refdgs_pipe.masking.files import distorted, write_masks
-from refdgs_pipe.masking.rounds import agreement, object_masks, with_colour
+from refdgs_pipe.masking.rounds import agreement, object_masks
 from refdgs_pipe.masking.solid import agreed, covering, grid, low, silhouette, standing
 
 BALL = Ball(np.array([0.0, 0.0, 0.45]), 1.0)

@@ -1,0 +1,46 @@
+"""What photos show of a room beside the plane."""
+
+import numpy as np
+import pytest
+
+from refdgs_pipe.ground.shots import F32, Bools
+from refdgs_pipe.masking.beyond import EDGES, _set_apart
+
+ROWS, COLUMNS = np.mgrid[:80, :120]
+LEFT, RIGHT = np.hypot(ROWS - 40, COLUMNS - 40), np.hypot(ROWS - 40, COLUMNS - 80)
+BESIDE = (np.minimum(LEFT, RIGHT) > 22).astype(bool)
+TINT = np.array([0.045, 0.045, 0.05], np.float32)
+
+
+def plain_room(edge: float, slope: float = 0.0) -> F32:
+    """A room of one colour with two discs: a mirror at the left, and a ring at the right."""
+    rng = np.random.default_rng(0)
+    logs = np.full((*ROWS.shape, 3), -1.0, np.float32) + slope * COLUMNS[..., None]
+    logs -= (LEFT < 15)[..., None] * TINT
+    logs += edge * ((np.abs(LEFT - 15) < 1.5) | (np.abs(RIGHT - 15) < 1.5))[..., None]
+    return np.asarray(logs + rng.normal(0, 0.004, logs.shape), np.float32)
+
+
+def inside(found: Bools) -> tuple[float, float]:
+    """The shares of both discs, within their edges, that are set apart."""
+    return float(found[LEFT < 12].mean()), float(found[RIGHT < 12].mean())
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.0005])
+def test_a_mirror_of_a_plain_room_is_set_apart_and_a_hole_is_not(slope: float) -> None:
+    found = _set_apart(plain_room(0.3, slope), BESIDE)
+    assert inside(found) == (1.0, 0.0)
+    assert not found[(LEFT > 20 + EDGES) | (RIGHT < 12)].any()
+
+
+def test_what_no_edge_separates_counts_as_room() -> None:
+    gap = plain_room(0.3)
+    gap[34:46, 40:62] = -1.0  # the mirror's edge is open at one side
+    assert not _set_apart(gap, BESIDE)[LEFT < 12].any()
+    assert not _set_apart(plain_room(0.3), np.zeros_like(BESIDE)).any()  # no room to compare with
+
+
+def test_what_has_texture_is_not_set_apart() -> None:
+    textured = plain_room(0.3)
+    textured[LEFT < 15] += 0.2 * ((ROWS + COLUMNS) % 4 < 2)[LEFT < 15][:, None]
+    assert not _set_apart(textured, BESIDE)[LEFT < 8].any()
