@@ -10,6 +10,7 @@ from refdgs_pipe.camera import Camera
 
 F32 = NDArray[np.float32]
 Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 
 _ROW = 1024  # cv2.remap refuses more than 32767 rows or columns
 
@@ -24,6 +25,7 @@ class Shown:
         cosine: (M,) between the normal and the way to the eye.
         depth: (M,) along the camera's axis, world units.
         layers: (M, C) what was looked up at these pixels.
+        near: (M,) whether the depth map lies within the tolerance.
     """
 
     rows: Ints
@@ -31,6 +33,7 @@ class Shown:
     cosine: F32
     depth: F32
     layers: F32
+    near: Bools
 
 
 class SurfacePoints:
@@ -51,6 +54,7 @@ class SurfacePoints:
         *,
         tolerance: float,
         least_cosine: float,
+        behind: float = 0.0,
         part: slice = slice(None),
     ) -> Shown:
         """The points that lie on a view's depth map.
@@ -59,6 +63,7 @@ class SurfacePoints:
             layers: (H, W, C) depth along the camera's axis; 1 where it can be trusted, else 0; and
                 whatever else is to be looked up.
             tolerance: how far a point may lie from the depth map, world units.
+            behind: how far the depth map may lie behind a point, where that is more, world units.
             part: the points that are asked for; rows count from its start.
         """
         points, normals = self.points[part], self.normals[part]
@@ -77,8 +82,10 @@ class SurfacePoints:
         sampled = bilinear(layers, pixels)
         slope = np.sqrt(1 / cosine**2 - 1)
         allowed = tolerance + slope * z / float(K[0, 0])
-        good = (np.abs(sampled[:, 0] - z) < allowed) & (sampled[:, 1] > 0.999)
-        return Shown(rows[good], pixels[good], cosine[good], z[good], sampled[good])
+        deeper = sampled[:, 0] - z
+        near = np.abs(deeper) < allowed
+        good = np.flatnonzero((near | ((deeper > 0) & (deeper < behind))) & (sampled[:, 1] > 0.999))
+        return Shown(rows[good], pixels[good], cosine[good], z[good], sampled[good], near[good])
 
 
 def bilinear(values: F32, pixels: F32) -> F32:

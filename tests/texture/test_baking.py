@@ -149,6 +149,27 @@ def test_what_no_view_sees_is_filled_from_beside_it_with_no_confidence(
     assert (normal[:, 2] > 0.99).all()
 
 
+def test_a_dent_behind_the_mesh_tells_colours_but_no_normals(views: list[SurfaceMap]) -> None:
+    points, normals = np.array([[0, 0, 1.0]], np.float32), np.array([[0, 0, 1.0]], np.float32)
+
+    def gathered(depth: float) -> Gather:
+        gather = Gather(points, normals, tolerance=0.03)
+        for view in views:
+            aslant = view.normal + np.array([0.5, 0, 0], np.float32)
+            aslant /= np.linalg.norm(aslant, axis=-1, keepdims=True)
+            gather.add(replace(view, depth=view.depth + np.float32(depth), normal=aslant))
+        return gather
+
+    near, dent = gathered(0.0).surface(), gathered(0.08).surface()
+    assert dent.seen.all()
+    np.testing.assert_allclose(dent.diffuse, near.diffuse, atol=0.01)
+    np.testing.assert_allclose(dent.normal, normals)
+    assert near.normal[0, 2] < 0.95
+    for depth in (0.3, -0.2):  # too far behind; before the mesh
+        with pytest.raises(MeshError):
+            gathered(depth).surface()
+
+
 def test_occluded_points_take_nothing_from_what_hides_them() -> None:
     wall = Sphere((0.0, 0.0, 1.45), 0.3, constant(1, 0, 0))
     scene = Scene((*SCENE.solids, wall), gradient_sky)
