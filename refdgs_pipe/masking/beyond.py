@@ -30,6 +30,7 @@ LEAST = 0.5  # weight of likeness without any texture
 PLAIN = 0.03  # contrast of log brightness below which a place has no texture
 ONE_COLOUR = 0.02  # log colour: by how much the room differs on both sides of something thin
 NEARLY = 2 * SPREAD  # log colour: what differs from a plain room by more is not like it by chance
+OUTLINE = 1  # pixels round a plain room, in which its edge has texture
 EDGES = 4  # pixels of the edge that separates a place, which show neither
 AROUND = 0.125  # of the judged part's longer side, over which the room's plain colour is averaged
 
@@ -39,8 +40,7 @@ class Room(Evidence):
     """Evidence beside the plane.
 
     Args:
-        apart: (H, W) plain places that edges separate from the room, with another colour: a mirror
-            shows a plain room so.
+        apart: (H, W) what looks like a plain room, and is none, as `_set_apart` finds it.
     """
 
     apart: Bools
@@ -143,10 +143,11 @@ def _proof(logs: F32, beside: Bools) -> F32:
 
 
 def _set_apart(logs: F32, free: Bools) -> Bools:
-    """(H, W) plain places that edges separate from the room, and whose colour is another.
+    """(H, W) what looks like a plain room at some depth, and is none.
 
-    A mirror shows a plain room with nearly the room's colour. What a hole shows of the room has the
-    colour of the room beside it. Where the room varies by as much, nothing can be said.
+    A mirror shows a plain room with nearly the room's colour: edges separate such a place from the
+    room. What a hole shows of the room has the colour of the room beside it. Where the room varies
+    by as much, nothing can be said. What has texture is no part of a room of one colour.
 
     Args:
         logs: (H, W, 3) the photo, log colour; free: (H, W) its pixels beside the object.
@@ -169,9 +170,12 @@ def _set_apart(logs: F32, free: Bools) -> Bools:
         ]
         return np.asarray(np.append(0, np.abs(means).max(0))[parts], np.float32)
 
-    apart, varies = of_parts(off), np.sqrt(of_parts(spread))
-    mirrors = plain & ~joined & (apart > np.maximum(ONE_COLOUR, varies)) & (apart < NEARLY)
-    return np.asarray(grown(mirrors, EDGES) & (mirrors | ~plain), np.bool_)
+    apart = of_parts(off)
+    same = apart <= np.maximum(ONE_COLOUR, np.sqrt(of_parts(spread)))
+    mirrors = plain & ~joined & ~same & (apart < NEARLY)
+    one_colour = np.sqrt(spread.max(-1)) < ONE_COLOUR
+    textured = ~plain & one_colour & ~grown(joined | (plain & same), OUTLINE)
+    return np.asarray((grown(mirrors, EDGES) & ~plain) | mirrors | textured, np.bool_)
 
 
 def _shift(left: float, top: float) -> F64:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from refdgs_pipe.ground.shots import F32, Bools
-from refdgs_pipe.masking.beyond import EDGES, _set_apart
+from refdgs_pipe.masking.beyond import EDGES, OUTLINE, _set_apart
 
 ROWS, COLUMNS = np.mgrid[:80, :120]
 LEFT, RIGHT = np.hypot(ROWS - 40, COLUMNS - 40), np.hypot(ROWS - 40, COLUMNS - 80)
@@ -23,24 +23,35 @@ def plain_room(edge: float, slope: float = 0.0) -> F32:
 
 def inside(found: Bools) -> tuple[float, float]:
     """The shares of both discs, within their edges, that are set apart."""
-    return float(found[LEFT < 12].mean()), float(found[RIGHT < 12].mean())
+    return float(found[LEFT < 9].mean()), float(found[RIGHT < 9].mean())
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.0005])
 def test_a_mirror_of_a_plain_room_is_set_apart_and_a_hole_is_not(slope: float) -> None:
     found = _set_apart(plain_room(0.3, slope), BESIDE)
     assert inside(found) == (1.0, 0.0)
-    assert not found[(LEFT > 20 + EDGES) | (RIGHT < 12)].any()
+    assert not found[(LEFT > 20 + EDGES) & (RIGHT > 20) | (RIGHT < 9)].any()
 
 
 def test_what_no_edge_separates_counts_as_room() -> None:
     gap = plain_room(0.3)
     gap[34:46, 40:62] = -1.0  # the mirror's edge is open at one side
-    assert not _set_apart(gap, BESIDE)[LEFT < 12].any()
+    assert not _set_apart(gap, BESIDE)[LEFT < 8].any()
     assert not _set_apart(plain_room(0.3), np.zeros_like(BESIDE)).any()  # no room to compare with
 
 
-def test_what_has_texture_is_not_set_apart() -> None:
+def test_what_has_texture_is_set_apart_from_a_plain_room_only() -> None:
     textured = plain_room(0.3)
     textured[LEFT < 15] += 0.2 * ((ROWS + COLUMNS) % 4 < 2)[LEFT < 15][:, None]
-    assert not _set_apart(textured, BESIDE)[LEFT < 8].any()
+    assert _set_apart(textured, BESIDE)[LEFT < 12].all()
+    textured += 0.2 * ((ROWS + 2 * COLUMNS) % 6 < 3)[..., None]
+    assert not _set_apart(textured, BESIDE).any()
+
+
+def test_something_thin_is_set_apart_from_a_plain_room() -> None:
+    logs = plain_room(0.0)
+    bar = np.abs(COLUMNS - 60) < 1.5
+    logs[bar] += 0.2
+    found = _set_apart(logs, BESIDE | (np.abs(COLUMNS - 60) > 8))
+    assert found[bar][6:-6].all()
+    assert not found[np.abs(COLUMNS - 60) > 4 + OUTLINE].any()
