@@ -16,7 +16,7 @@ from refdgs_pipe.evaluation.settings import EvaluateParams
 from refdgs_pipe.pipeline.stage import Job, stage
 
 
-@stage(version=15, programs=("open3d-cpu", "scipy"), by_device=True)
+@stage(version=16, programs=("open3d-cpu", "scipy"), by_device=True)
 def evaluate(
     capture: Capture,
     views: Views,

@@ -29,6 +29,7 @@ class ObjectFigures:
             share of the surface.
         floats: how far above the ground the mesh ends, in diagonals of the mesh; None where nothing
             says that it has to reach the ground.
+        hanging: share of the surface in large pieces that nothing holds; None as for `floats`.
         lowest: height of the lowest photo over the horizon through the object, degrees; None where
             photos do not go round it.
         metres: whether the size is known.
@@ -52,5 +53,6 @@ class ObjectFigures:
     parts: int = 0
     part_share: float = 0.0
     floats: float | None = None
+    hanging: float | None = None
     lowest: float | None = None
     metres: bool = False

@@ -19,7 +19,13 @@ from refdgs_pipe.artifacts.surface_map import SurfaceMap
 from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import Camera
-from refdgs_pipe.evaluation.wholeness import height_above, loose_parts, open_holes, seen_shares
+from refdgs_pipe.evaluation.wholeness import (
+    hanging_share,
+    height_above,
+    loose_parts,
+    open_holes,
+    seen_shares,
+)
 from refdgs_pipe.geometry import hit_depth
 from refdgs_pipe.irradiance import links_of
 from refdgs_pipe.metrics import psnr
@@ -118,6 +124,9 @@ class Witness:
         """
         holes, hole_length = open_holes(self._mesh, model.up)
         parts, part_share = loose_parts(self._mesh)
+        floats = hanging = None
+        if stands and ground is not None:
+            floats, hanging = height_above(self._mesh, ground), hanging_share(self._mesh, ground)
         seen, unseen = (None, None) if textured is None else seen_shares(textured)
         return ObjectFigures(
             photos=len(model.cameras) + len(model.lost),
@@ -137,7 +146,8 @@ class Witness:
             hole_length=hole_length / self._diagonal,
             parts=parts,
             part_share=part_share,
-            floats=height_above(self._mesh, ground) if stands and ground is not None else None,
+            floats=floats,
+            hanging=hanging,
             lowest=lowest,
             metres=model.metres_per_unit is not None,
         )

@@ -216,6 +216,20 @@ _ASPECTS = (
         ),
     ),
     _Aspect(
+        "parts that nothing holds",
+        lambda e: e.hanging,
+        0.1,
+        0.01,
+        lambda e: f"{e.hanging:.0%} of the surface",
+        "look at the section Masks of the report: what is between the parts is missing; take more "
+        "photos of it before a textured ground, or give masks",
+        (
+            "A part of the object hangs in the air: what holds it is missing",
+            "A small part of the object hangs in the air: what holds it is missing",
+            "No part of the object hangs in the air",
+        ),
+    ),
+    _Aspect(
         "loose bits of surface",
         lambda e: e.part_share,
         0.1,

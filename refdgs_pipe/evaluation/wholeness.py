@@ -14,6 +14,9 @@ WELL = 0.7  # confidence from which on a shape counts as known: 0.46 % of the di
 _LOW = 0.25  # of the object's height: a rim that lies lower can be that of the bottom
 _BIT = 0.05  # of the surface: larger pieces can be parts of the object
 _STRAY = 0.01  # of the surface, that may lie lower than the object ends
+_STANDS = 0.03  # of the diagonal: how far above the lowest piece another one stands too
+_TOUCHES = 0.01  # of the diagonal: how far apart two pieces hold each other
+_TRIED = 20_000  # points of a piece, that are compared with other pieces
 
 
 def open_rims(mesh: TriangleMesh | UvMesh) -> tuple[F64, F64]:
@@ -63,17 +66,40 @@ def open_holes(mesh: TriangleMesh, up: F64) -> tuple[int, float]:
 
 def loose_parts(mesh: TriangleMesh) -> tuple[int, float]:
     """How many small pieces of the surface hang together with nothing, and their share of it."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    points, faces = _welded(mesh)
-    start, end = faces[:, [0, 1]].reshape(-1), faces[:, [1, 2]].reshape(-1)
-    links = coo_array((np.ones(len(start)), (start, end)), shape=(len(points),) * 2)
-    _, labels = connected_components(links, directed=False)
-    areas = np.bincount(labels[faces[:, 0]], _areas(points, faces))
+    _, _, areas = _pieces(mesh)
     total = float(areas.sum())
     small = areas[(areas > 0) & (areas < _BIT * total)]
     return len(small), float(small.sum()) / total if total else 0.0
+
+
+def hanging_share(mesh: TriangleMesh, normal: F64) -> float:
+    """The share of the surface in large pieces that nothing holds: a part is missing below them.
+
+    A piece is held if it ends as low as the lowest one, or touches another that is held.
+
+    Args:
+        normal: (3,) of the ground, unit, upwards.
+    """
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    points, faces, areas = _pieces(mesh)
+    total = float(areas.sum())
+    large = np.flatnonzero(areas >= _BIT * total)
+    if len(large) < 2:
+        return 0.0
+    diagonal = float(np.linalg.norm(np.ptp(points, axis=0)))
+    parts = [points[np.unique(faces[label])] for label in large.tolist()]
+    ends = np.array([np.quantile(part @ normal, _STRAY) for part in parts])
+    trees = [cKDTree(part) for part in parts]
+    touch = np.eye(len(parts), dtype=bool)
+    for i, part in enumerate(parts):
+        some = part[:: -(-len(part) // _TRIED)]
+        for j in range(i):
+            touch[i, j] = trees[j].query(some)[0].min() < _TOUCHES * diagonal
+    _, group = connected_components(touch, directed=False)
+    held = np.isin(group, group[ends < ends.min() + _STANDS * diagonal])
+    return float(areas[large][~held].sum()) / total
 
 
 def height_above(mesh: TriangleMesh, normal: F64) -> float:
@@ -112,6 +138,21 @@ def confidence_at(textured: TexturedMesh, points: F64) -> F64:
     uv = at_hits(mesh.uv, mesh.faces, face, weights)
     column, row = np.clip(uv * size, 0, size - 1).astype(np.int64).T
     return np.asarray(textured.confidence[row, column] / 65535)
+
+
+def _pieces(mesh: TriangleMesh) -> tuple[F64, list[Ints], F64]:
+    """(P, 3) places of vertices; the faces (F, 3) of each connected piece, and its area."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    points, faces = _welded(mesh)
+    start, end = faces[:, [0, 1]].reshape(-1), faces[:, [1, 2]].reshape(-1)
+    links = coo_array((np.ones(len(start)), (start, end)), shape=(len(points),) * 2)
+    count, labels = connected_components(links, directed=False)
+    of = labels[faces[:, 0]]
+    areas = np.bincount(of, _areas(points, faces), count).astype(np.float64)
+    order = np.argsort(of, kind="stable")
+    return points, np.split(faces[order], np.cumsum(np.bincount(of, minlength=count))[:-1]), areas
 
 
 def _welded(mesh: TriangleMesh | UvMesh) -> tuple[F64, Ints]:

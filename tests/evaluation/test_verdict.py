@@ -19,7 +19,12 @@ from refdgs_pipe.evaluation.object_figures import (
     outline_apart,
 )
 from refdgs_pipe.evaluation.verdict import judged
-from refdgs_pipe.evaluation.wholeness import height_above, loose_parts, open_holes
+from refdgs_pipe.evaluation.wholeness import (
+    hanging_share,
+    height_above,
+    loose_parts,
+    open_holes,
+)
 
 UP = np.array([0.0, 0.0, 1.0])
 FINE = replace(finished.FINE, photos=40, placed=40, masked=True, metres=True)
@@ -31,6 +36,7 @@ WORSE = {
     "contradicted": (0.1, 0.6),
     "part_share": (0.03, 0.3),
     "floats": (0.05, 0.2),
+    "hanging": (0.05, 0.4),
 }
 
 
@@ -90,6 +96,32 @@ def test_an_object_without_its_lower_part_floats() -> None:
     upper = TriangleMesh(stands.vertices, stands.faces[middle > 1.0])
     assert height_above(stands, UP) < 0.02
     assert height_above(upper, UP) == pytest.approx(1 / 3, abs=0.02)  # 1 of 2 x 2 x 1
+
+
+def balls(*places: tuple[float, float, float]) -> TriangleMesh:
+    """Balls of radius 1 around places."""
+    ball = solids.sphere(24, radius=1.0)
+    points = [ball.vertices + np.array(place, np.float32) for place in places]
+    faces = [ball.faces + i * len(ball.vertices) for i in range(len(places))]
+    return TriangleMesh(np.concatenate(points), np.concatenate(faces).astype(np.int32))
+
+
+@pytest.mark.parametrize(
+    "places, share",
+    [
+        ([(0, 0, 1)], 0),
+        ([(0, 0, 1), (4, 0, 1)], 0),  # both stand
+        ([(0, 0, 1), (4, 0, 1), (0, 0, 3.02)], 0),  # one lies on another
+        ([(0, 0, 1), (0, 0, 3.02), (0, 0, 5.04)], 0),
+        ([(0, 0, 1), (0, 0, 4)], 1 / 2),
+        ([(0, 0, 1), (0, 0, 5), (0, 0, 7.02)], 2 / 3),  # they hold each other only
+        ([(0, 0, 5), (4, 0, 5)], 0),  # nothing is lower: another figure tells
+    ],
+)
+def test_a_part_that_nothing_holds_is_found(
+    places: list[tuple[float, float, float]], share: float
+) -> None:
+    assert hanging_share(balls(*places), UP) == pytest.approx(share, abs=1e-6)
 
 
 def test_a_bottom_may_be_open_and_a_top_may_not() -> None:

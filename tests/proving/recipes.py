@@ -127,6 +127,8 @@ RECIPES = {
     "casserole": Recipe(o.pot, p.planks, "office", b.near_and_far, seed=601, photos=28),
     "platter": Recipe(h.plate, p.planks, "square", b.turned, seed=603, photos=28),
     "goblet": Recipe(m.trophy, p.gingham, "studio", p.rings, seed=905),
+    "beacon": Recipe(k.lamp, p.mosaic, "studio", b.from_low, seed=926, photos=24),
+    "ware": Recipe(k.vase, p.stone, "studio", p.rings, seed=928, checking=True),
     "hound": Recipe(s.dog, p.planks, "office", p.rings, seed=901),
     "mat": Recipe(k.vase, p.placemat, "attic", p.spiral, seed=81, checking=True),
     "label": Recipe(
