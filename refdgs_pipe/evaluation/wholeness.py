@@ -81,7 +81,6 @@ def hanging_share(mesh: TriangleMesh, normal: F64) -> float:
         normal: (3,) of the ground, unit, upwards.
     """
     from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import cKDTree
 
     points, faces, areas = _pieces(mesh)
     total = float(areas.sum())
@@ -91,12 +90,11 @@ def hanging_share(mesh: TriangleMesh, normal: F64) -> float:
     diagonal = float(np.linalg.norm(np.ptp(points, axis=0)))
     parts = [points[np.unique(faces[label])] for label in large.tolist()]
     ends = np.array([np.quantile(part @ normal, _STRAY) for part in parts])
-    trees = [cKDTree(part) for part in parts]
     touch = np.eye(len(parts), dtype=bool)
-    for i, part in enumerate(parts):
-        some = part[:: -(-len(part) // _TRIED)]
-        for j in range(i):
-            touch[i, j] = trees[j].query(some)[0].min() < _TOUCHES * diagonal
+    for j, label in enumerate(large.tolist()):
+        for i, part in enumerate(parts):
+            some = part[:: -(-len(part) // _TRIED)]
+            touch[i, j] |= _gap(some, points, faces[label]) < _TOUCHES * diagonal
     _, group = connected_components(touch, directed=False)
     held = np.isin(group, group[ends < ends.min() + _STANDS * diagonal])
     return float(areas[large][~held].sum()) / total
@@ -138,6 +136,13 @@ def confidence_at(textured: TexturedMesh, points: F64) -> F64:
     uv = at_hits(mesh.uv, mesh.faces, face, weights)
     column, row = np.clip(uv * size, 0, size - 1).astype(np.int64).T
     return np.asarray(textured.confidence[row, column] / 65535)
+
+
+def _gap(places: F64, points: F64, faces: Ints) -> float:
+    """The least distance of places (N, 3) to a mesh of points (P, 3) and faces (F, 3)."""
+    vertices, corners = points.astype(np.float32), faces.astype(np.int32)
+    face, weights = Solid(vertices, corners).nearest(places.astype(np.float32))
+    return float(np.linalg.norm(at_hits(vertices, corners, face, weights) - places, axis=1).min())
 
 
 def _pieces(mesh: TriangleMesh) -> tuple[F64, list[Ints], F64]:

@@ -256,10 +256,8 @@ class _Worker:
         out = []
         given = zip(self.shots, evidence, colours, outlines, apart, self.band, strict=True)
         for shot, one, colour, outline, alone, band in given:
-            near, covers = (
-                grown(outline, 2 * band),
-                self.table.drawn_cover(shot) | alone & ~one.known,
-            )
+            near = grown(outline, 2 * band)
+            covers = self.table.drawn_cover(shot) | (alone & ~one.known)
             out.append(with_colour(one.value, colour, near, covers))
         return out
 

@@ -124,6 +124,20 @@ def test_a_part_that_nothing_holds_is_found(
     assert hanging_share(balls(*places), UP) == pytest.approx(share, abs=1e-6)
 
 
+def test_a_part_lies_on_a_plain_top_without_vertices_near_it() -> None:
+    ball = balls((0, 0, 1.02))
+    plate = np.array([[-3, -3, 0], [3, -3, 0], [3, 3, 0], [-3, 3, 0]], np.float32)
+    two = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+    leg = plate / 3 + np.array([0, 0, -2], np.float32)
+    both = TriangleMesh(
+        np.concatenate([ball.vertices, plate, leg, leg + np.array([0, 0, 1.99], np.float32)]),
+        np.concatenate([ball.faces, *(two + len(ball.vertices) + 4 * i for i in range(3))]),
+    )
+    assert hanging_share(both, UP) > 0.5  # the lowest plate is far below
+    low = replace(both, faces=np.delete(both.faces, [-3, -4], axis=0))
+    assert hanging_share(low, UP) == 0
+
+
 def test_a_bottom_may_be_open_and_a_top_may_not() -> None:
     ball = solids.sphere(24, radius=1.0)
     middle = ball.vertices[ball.faces].mean(1)[:, 2]
