@@ -73,7 +73,7 @@ def loose_parts(mesh: TriangleMesh) -> tuple[int, float]:
 
 
 def hanging_share(mesh: TriangleMesh, normal: F64) -> float:
-    """The share of the surface in large pieces that nothing holds: a part is missing below them.
+    """The share of the surface in large pieces that nothing holds: what holds them is missing.
 
     A piece is held if it ends as low as the lowest one, or touches another that is held.
 

@@ -40,7 +40,7 @@ class Room(Evidence):
     """Evidence beside the plane.
 
     Args:
-        apart: (H, W) what looks like a plain room, and is none, as `_set_apart` finds it.
+        apart: (H, W) what looks like a plain room, but is not, as `_set_apart` finds it.
     """
 
     apart: Bools
@@ -143,11 +143,11 @@ def _proof(logs: F32, beside: Bools) -> F32:
 
 
 def _set_apart(logs: F32, free: Bools) -> Bools:
-    """(H, W) what looks like a plain room at some depth, and is none.
+    """(H, W) what looks like a plain room at some depth, but is not.
 
-    A mirror shows a plain room with nearly the room's colour: edges separate such a place from the
-    room. What a hole shows of the room has the colour of the room beside it. Where the room varies
-    by as much, nothing can be said. What has texture is no part of a room of one colour.
+    A mirror shows a plain room with nearly the room's colour, and edges separate it from the room.
+    A hole shows the colour of the room beside it. Where the room varies by as much, the colour does
+    not tell. What has texture is no part of a room of one colour.
 
     Args:
         logs: (H, W, 3) the photo, log colour; free: (H, W) its pixels beside the object.

@@ -250,7 +250,7 @@ class _Worker:
         """(H, W) the evidence, and that of colours where it is weak; far off only one way."""
         outlines = self._parts_of(found.outlines)
         colours = colour_evidence(self.shots, self._parts(found.masks), outlines, self.band)
-        apart = [shot.valid & False for shot in self.shots]
+        apart = [np.zeros_like(shot.valid) for shot in self.shots]
         if found.room is not None:
             apart = self._parts_of([room.apart for room in found.room])
         out = []

@@ -53,7 +53,7 @@ class Gather:
     Args:
         points, normals: (N, 3) float32, world.
         tolerance: how far a point may lie from the depth map that shows it, world units. Where
-            none is so near, one that lies `_DENT` times as far behind tells the colour.
+            no map is so near, one that lies up to `_DENT` times as far behind tells the colour.
     """
 
     def __init__(self, points: F32, normals: F32, *, tolerance: float, keep: int = 6) -> None:

@@ -55,11 +55,9 @@ ROOF = 0.95  # of the level part's columns: the least share on which a roof is n
 LOOKS_IN = 0.3  # sine of the elevation from which a photo looks into a mouth
 FEWEST = 8  # photos that look in
 EACH = 4  # of those, one in so many is held out
-FIRST_HELD = EACH // 2, 0  # in each trial, the first of those that are held out
 SIDE = 200  # pixels of the photos that are trained on
 STEPS, SURFELS = 800, 6000
 BETTER = 0.6  # dB by which the vessel has to explain held-out photos better
-CLEAR = 1.5  # dB between both answers, from which on one trial decides
 ALONG = 0.99  # cosine between up and an axis of the grid, for which level parts are looked for
 DROP = 2.5  # cells to a neighbouring column, from which on a level part ends
 PLATEAU = 0.25  # of the lid's columns, that the largest level part has, at least
@@ -153,10 +151,7 @@ def _normals(cells: Bools) -> F32:
 
 @dataclass(frozen=True)
 class Trial:
-    """PSNR in dB of held-out photos on the lid, by the closed hull and by the vessel.
-
-    Each is the mean over the trials.
-    """
+    """PSNR in dB of held-out photos on the lid, by the closed hull and by the vessel."""
 
     closed: float
     vessel: float
@@ -330,9 +325,7 @@ def tried(
 ) -> Trial | None:
     """Explain photos by the closed hull and by the vessel; None where too few photos look in.
 
-    Few photos are held out, and their figures scatter. So other photos are held out in a second
-    trial, unless the first is clear. It runs on the CPU, so that the answer is the same with and
-    without a GPU.
+    It runs on the CPU, so that the answer is the same with and without a GPU.
 
     Args:
         near: depth before which nothing is drawn, world units.
@@ -341,25 +334,19 @@ def tried(
     looks = looking_in(photos, mouth, model.up)
     if not len(looks):
         return None
+    held = set(looks[EACH // 2 :: EACH].tolist())
     small = [shrunk(p, SIDE / max(p.camera.width, p.camera.height)) for p in photos]
-    runs = 2 * len(FIRST_HELD)
-    figures: list[list[float]] = []
-    for first in FIRST_HELD:
-        held = set(looks[first::EACH].tolist())
-        learnt = [photo for i, photo in enumerate(small) if i not in held]
-        asked = [small[i] for i in sorted(held)]
-        pair: list[float] = []
-        for hull in (closed, mouth.vessel):
+    learnt = [photo for i, photo in enumerate(small) if i not in held]
+    asked = [small[i] for i in sorted(held)]
+    figures = []
+    for number, hull in enumerate((closed, mouth.vessel)):
 
-            def told(step: int, steps: int, before: int = 2 * len(figures) + len(pair)) -> None:
-                if progress is not None:
-                    progress(before * steps + step, runs * steps)
+        def told(step: int, steps: int, before: int = number) -> None:
+            if progress is not None:
+                progress(before * steps + step, 2 * steps)
 
-            pair.append(_explained(params, model, learnt, asked, hull, mouth.lid, near, told))
-        figures.append(pair)
-        if abs(pair[0] - pair[1]) >= CLEAR:
-            break
-    return Trial(*np.mean(figures, 0).tolist())
+        figures.append(_explained(params, model, learnt, asked, hull, mouth.lid, near, told))
+    return Trial(*figures)
 
 
 def _explained(
