@@ -19,6 +19,7 @@ RawSet = Mapping[str, F32]
 """A set of surfels in optimised form: means (N, 3), quats (N, 4) w x y z, log_scales (N, 2),
 raw_opacities (N,), and what they carry."""
 
+SOLID, HOLLOW = 1, 2
 _SHAPES = {"means": 3, "quats": 4, "log_scales": 2, "raw_opacities": 0}
 _SETS = ("geometry", "local", "background")
 
@@ -37,6 +38,8 @@ class Start:
         ball: of the object.
         random: state of torch's generator for what the field draws when it is made.
         max_side: longest side of the photos, pixels.
+        vessel: (n, n, n) cells of the hull's grid, SOLID or HOLLOW where a vessel was opened, 0
+            elsewhere; None without a vessel.
         surfels, background_surfels: as asked for: geometry at the start, background at most.
         bfloat16: how the shader's network multiplies.
     """
@@ -54,6 +57,7 @@ class Start:
     surfels: int
     background_surfels: int
     bfloat16: bool
+    vessel: U8 | None = None
 
     def limited(self, *, surfels: int, local: int, background: int) -> "Start":
         """With no more surfels than these in each set: every so many of them."""
@@ -74,6 +78,8 @@ class Start:
         for name in _SETS:
             for key, values in (getattr(self, name) or {}).items():
                 arrays[f"{name}.{key}"] = np.ascontiguousarray(values, np.float32)
+        if self.vessel is not None:
+            arrays["vessel"] = np.ascontiguousarray(self.vessel)
         names = sorted(self.covers)
         for i, name in enumerate(names):
             arrays[f"cover.{i}"] = np.ascontiguousarray(self.covers[name])
@@ -112,6 +118,7 @@ class Start:
                 covers={name: arrays[f"cover.{i}"] for i, name in enumerate(record["covers"])},
                 ball=Ball(center, float(record["ball"]["radius"])),
                 random=arrays["random"],
+                vessel=_vessel(arrays),
                 **{key: record[key] for key in _SETTINGS},
             )
         except (OSError, KeyError, TypeError, ValueError, SafetensorError) as error:
@@ -121,6 +128,13 @@ class Start:
 
 
 _SETTINGS = ("seed", "max_side", "ground", "surfels", "background_surfels", "bfloat16")
+
+
+def _vessel(arrays: Mapping[str, NDArray[Any]]) -> U8 | None:
+    cells = arrays.get("vessel")
+    if cells is not None and (cells.dtype != np.uint8 or cells.shape != (len(cells),) * 3):
+        raise ValueError("the vessel's cells are no cube")
+    return cells
 
 
 def _thinned(raw: RawSet, most: int) -> RawSet:

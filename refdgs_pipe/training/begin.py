@@ -4,14 +4,18 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.start import Start
 from refdgs_pipe.artifacts.views import Views
+from refdgs_pipe.training.ground import Surroundings
 from refdgs_pipe.training.initial import Hull, closed_hull, object_hull
 from refdgs_pipe.training.look import look
 from refdgs_pipe.training.photos import TrainingPhoto, load_training_photos
+from refdgs_pipe.training.seen_below import seen_below
 from refdgs_pipe.training.settings import StartParams
 from refdgs_pipe.training.starting import Given, start_of
 from refdgs_pipe.training.step import near_of
@@ -24,7 +28,6 @@ from refdgs_pipe.training.vessels import (
     find_roof,
     is_flat_top,
     mirror_misfit,
-    tried,
     without_roof,
 )
 
@@ -41,6 +44,20 @@ class Begun:
     start: Start
     stereo: bool
     top: str = ""
+
+
+@dataclass(frozen=True)
+class _Solid:
+    """The object within its masks.
+
+    Args:
+        top: what was found out of its level top, in words; empty if it has none.
+        hollow: (n, n, n) cells of a vessel's inside, if it is one.
+    """
+
+    hull: Hull | None
+    top: str = ""
+    hollow: NDArray[np.bool_] | None = None
 
 
 def begin(
@@ -68,8 +85,9 @@ def begin(
         photos = load_training_photos(views, model, max_side=params.max_side, near=near)
     masked = views.background != "photo"
     if masked:
-        hull, top = _solid(params, model, photos, near, progress)
-        return Begun(start_of(Given(params, model, photos, hull=hull), masked=True), False, top)
+        solid = _solid(params, model, photos, progress)
+        given = Given(params, model, photos, hull=solid.hull, hollow=solid.hollow)
+        return Begun(start_of(given, masked=True), False, solid.top)
     agreed = agreed_cloud(params, model, photos, scratch, progress)
     if agreed is not None or params.look_steps == 0:
         given = Given(params, model, photos, agreed=agreed, progress=progress)
@@ -91,22 +109,21 @@ def _solid(
     params: StartParams,
     model: SparseModel,
     photos: list[TrainingPhoto],
-    near: float,
     progress: Callable[[int, int], None] | None,
-) -> tuple[Hull | None, str]:
-    """The object within its masks, and what was found out of its level top, in words.
+) -> _Solid:
+    """The object within its masks, and what was found out of its level top.
 
-    It is a vessel if photos see through its lid, or if that explains them better. The bulge on a
-    flat mirror is gone, and so is the roof that silhouettes leave on a flat top or on a vessel.
+    It is a vessel if photos see through its lid, or agree better on a vessel's inside. The bulge
+    on a flat mirror is gone, and so is the roof that silhouettes leave on a flat top or a vessel.
     """
     if params.masked == "ball" or any(photo.mask is None for photo in photos):
-        return None, ""
+        return _Solid(None)
     closed = closed_hull(model, photos)
     if closed is None:
-        return None, ""
+        return _Solid(None)
     hull = object_hull(params, model, photos, progress, closed=closed)
     if hull is None or params.masked != "carved" or not params.vessels:
-        return hull, ""
+        return _Solid(hull)
     mouth = find_mouth(closed, model.up)
     roof = None
     if mouth is None:
@@ -116,25 +133,23 @@ def _solid(
         mouth = find_mouth(closed, model.up)
     mouth = None if mouth is None else mouth.within(hull)
     if mouth is None:
-        return hull, ""
+        return _Solid(hull)
     if roof is not None and is_flat_top(photos, roof):
         flat = replace(hull, cells=hull.cells | mouth.hollow)
         flat = replace(flat, cells=without_roof(flat, photos, roof))
-        return flat, "flat, below the roof that silhouettes leave"
-    return _opened(params, model, photos, closed, hull, mouth, near, progress)
+        return _Solid(flat, "flat, below the roof that silhouettes leave")
+    return _opened(model, photos, closed, hull, mouth, progress)
 
 
 def _opened(
-    params: StartParams,
     model: SparseModel,
     photos: list[TrainingPhoto],
     closed: Hull,
     hull: Hull,
     mouth: Mouth,
-    near: float,
     progress: Callable[[int, int], None] | None,
-) -> tuple[Hull, str]:
-    """The solid, flat or opened below its lid if photos say so; and words for it.
+) -> _Solid:
+    """The solid, flat or opened below its lid if photos say so.
 
     Args:
         closed: the visual hull, without a roof above the lid; hull: of `object_hull`.
@@ -144,14 +159,21 @@ def _opened(
     if plateau is not None and misfit is not None and misfit < A_MIRROR:
         level = closed.cells & ~plateau.bulge
         flat = replace(hull, cells=(hull.cells | mouth.hollow) & level)
-        return flat, f"a flat mirror, misfit {misfit:.2f}"
+        return _Solid(flat, f"a flat mirror, misfit {misfit:.2f}")
     from refdgs_pipe.training.inside import see_inside  # needs OpenCV; a GPU machine may lack it
 
     told = "" if misfit is None else f", misfit as a flat mirror {misfit:.2f}"
     seen = see_inside(model, photos, closed, mouth, torch.get_num_threads(), progress)
     if seen is not None and seen.opens:
-        return replace(hull, cells=hull.cells & seen.vessel.cells), seen.words + told
-    trial = tried(params, model, photos, hull, mouth, near=near, progress=progress)
-    if trial is None:
-        return hull, ""
-    return (mouth.vessel if trial.opens else hull), trial.words + told
+        vessel = replace(hull, cells=hull.cells & seen.vessel.cells)
+        return _Solid(vessel, seen.words + told, mouth.hollow & ~vessel.cells)
+    if plateau is None:  # a dome
+        return _Solid(hull)
+    grounded = hull.on_ground(Surroundings(model, ground=True))
+    solid = replace(hull, cells=hull.cells & closed.cells)
+    below = seen_below(photos, closed, solid, mouth, plateau, grounded, progress)
+    if below is None:
+        return _Solid(hull)
+    if not below.opens:
+        return _Solid(hull, below.words + told)
+    return _Solid(below.vessel, below.words + told, mouth.hollow & ~below.vessel.cells)

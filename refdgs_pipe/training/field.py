@@ -15,6 +15,7 @@ from refdgs_pipe.ops import Pinhole, observe
 from refdgs_pipe.ops.cuda import sent
 from refdgs_pipe.training.exposure import Exposures
 from refdgs_pipe.training.ground import Surroundings
+from refdgs_pipe.training.hollow import Hollow
 from refdgs_pipe.training.moving_light import moving
 from refdgs_pipe.training.photos import TrainingPhoto
 from refdgs_pipe.training.poses import Poses
@@ -66,6 +67,8 @@ class TrainableField:
         self.light = moving(lighting, device)
         self.light_optimizer = [] if self.light is None else [self.light.optimizer()]
         self.around = Surroundings(model, ground=start.ground == "background" and not masked)
+        vessel = start.vessel
+        self.hollow = None if vessel is None else Hollow(vessel, start.ball, device)
         # Without masks nothing but reflections holds a mirror's surface in place from the start.
         self.reflect_from = params.reflect_from if masked else 0.0
         cameras = [photo.camera for photo in photos]
@@ -274,6 +277,10 @@ class TrainableField:
         rules = DensityRules(
             p.densify_gradient, size, LARGEST * self.extent, self.faintest, self.most
         )
+        if self.hollow is not None:
+            with torch.no_grad():
+                means = self.geometry.raw["means"]
+                means.copy_(self.hollow.kept_empty(means))
         own = self.around.objects(self.geometry.raw["means"].detach(), BALL_MARGIN)
         densify(self.geometry, rules, own, rng)
         if self.local is not None and iteration > p.local_from * p.iterations + p.densify_every:

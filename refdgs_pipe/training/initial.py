@@ -64,6 +64,11 @@ class Hull:
         return ~around.above(torch.from_numpy(points)).numpy().reshape(self.cells.shape)
 
 
+def hull_ticks(ball: Ball, n: int) -> F64:
+    """(n,) the centres of a hull's cells along each axis, from the ball's centre."""
+    return np.asarray(((np.arange(n) + 0.5) / n * 2 - 1) * ball.radius * 1.05)
+
+
 def visual_hull(ball: Ball, cameras: list[Camera], masks: list[F32]) -> Hull | None:
     """Cells that (nearly) all masks cover, or None if the masks leave nothing.
 
@@ -71,7 +76,7 @@ def visual_hull(ball: Ball, cameras: list[Camera], masks: list[F32]) -> Hull | N
         masks: (H, W) in [0, 1] for each camera, at its size.
     """
     n = HULL_CELLS
-    ticks = ((np.arange(n) + 0.5) / n * 2 - 1) * ball.radius * 1.05
+    ticks = hull_ticks(ball, n)
     alive = np.arange(n**3)
     misses = np.zeros(n**3, np.int16)
     allowed = _doubters(cameras)

@@ -54,8 +54,8 @@ class ObjectParams(Params):
     )
     vessels: bool = Field(
         True,
-        description="try a level top as a lid and as the mouth of a vessel: two short trainings "
-        "are compared by photos that they did not use",
+        description="open a level top as the mouth of a vessel if photos agree better on what lies "
+        "below",
     )
     outline_cells: float = Field(
         1.5,

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from refdgs_pipe.artifacts.sparse_model import SparseModel
-from refdgs_pipe.artifacts.start import Start
+from refdgs_pipe.artifacts.start import HOLLOW, SOLID, Start
 from refdgs_pipe.color import linear_from_srgb
 from refdgs_pipe.training import initial
 from refdgs_pipe.training.ground import Surroundings
@@ -33,6 +33,7 @@ class Given:
     Args:
         photos: on the CPU; those with masks start in their hull.
         hull: the solid that surfels start on, if it is known.
+        hollow: (n, n, n) of its cells, the inside of a vessel.
         agreed: what photos without masks agree on, if that is what they start from.
         behind: the background's surfels, if they are known.
         covers: of `Start`.
@@ -44,6 +45,7 @@ class Given:
     model: SparseModel
     photos: list[TrainingPhoto]
     hull: initial.Hull | None = None
+    hollow: np.ndarray | None = None
     agreed: initial.Cloud | None = None
     behind: dict[str, Tensor] | None = None
     covers: dict[str, np.ndarray] | None = None
@@ -79,7 +81,16 @@ def start_of(given: Given, *, masked: bool) -> Start:
         surfels=p.surfels,
         background_surfels=p.background_surfels,
         bfloat16=p.bfloat16,
+        vessel=_vessel(given),
     )
+
+
+def _vessel(given: Given) -> np.ndarray | None:
+    """The cells of `Start.vessel`."""
+    if given.hull is None or given.hollow is None:
+        return None
+    solid = np.where(given.hull.cells, SOLID, 0)
+    return np.where(given.hollow, HOLLOW, solid).astype(np.uint8)
 
 
 def _arrays(raw: dict[str, Tensor]) -> dict[str, np.ndarray]:

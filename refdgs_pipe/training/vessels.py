@@ -14,7 +14,7 @@ If the lowest camera looks down steeply, silhouettes leave a roof on a flat top 
 too steep for a lid, but no steeper than that camera looks. The level part below it is judged.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,24 +29,21 @@ from scipy.ndimage import (
     minimum_filter,
 )
 
-from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.camera import F64, Camera
 from refdgs_pipe.mirrored import STANDS_OUT, Agreement, Glimpse, mirror_agreement, mirror_misfits
 from refdgs_pipe.training.carving import boundary
-from refdgs_pipe.training.field import TrainableField
 from refdgs_pipe.training.initial import F32, Hull
-from refdgs_pipe.training.photos import TrainingPhoto, shrunk
-from refdgs_pipe.training.settings import StartParams, TrainParams
-from refdgs_pipe.training.short_run import explained, short_run
-from refdgs_pipe.training.starting import Given, start_of
+from refdgs_pipe.training.photos import TrainingPhoto
 
 Bools = NDArray[np.bool_]
 
 LEVEL = 0.75  # of the cosine between a lid's normal and up
 LID = 0.1  # of the hull's boundary that a lid has, at least
+RIM = 0.05  # quantile of a level part's height that is its rim's
 FLAT = 0.12  # of its width: how far a lid may reach in height
-WALL = 2.5  # cells that a vessel's walls are thick
+WALL = 1.5  # cells that a vessel's walls are thick
 HOLLOW = 0.15  # of the hull's cells that a hollow has, at least
+DEEP = 3.0  # cells between the highest and the lowest of a hollow, at least
 STILL_CLOSED = 0.6  # of the hollow's cells that photo agreement did not open
 STEEP = np.radians(25.0)  # elevation of the lowest camera, from which on roofs are looked for
 STEEPER = np.radians(5.0)  # by which a roof, made of cells, may be steeper than the camera looks
@@ -54,10 +51,6 @@ RISE = 2.0  # cells that a roof may be higher than this slope allows
 ROOF = 0.95  # of the level part's columns: the least share on which a roof is no higher
 LOOKS_IN = 0.3  # sine of the elevation from which a photo looks into a mouth
 FEWEST = 8  # photos that look in
-EACH = 4  # of those, one in so many is held out
-SIDE = 200  # pixels of the photos that are trained on
-STEPS, SURFELS = 800, 6000
-BETTER = 0.6  # dB by which the vessel has to explain held-out photos better
 ALONG = 0.99  # cosine between up and an axis of the grid, for which level parts are looked for
 DROP = 2.5  # cells to a neighbouring column, from which on a level part ends
 PLATEAU = 0.25  # of the lid's columns, that the largest level part has, at least
@@ -65,16 +58,6 @@ A_MIRROR = 0.6  # `mirror_misfit` below which a level part is a flat mirror
 ENOUGH = 50  # samples of a lid that other photos say something of
 UNSHADED = 0.04  # spread of the colours of a plain flat top, by their median; a dome is shaded
 PLAIN = 0.02  # spread of a lid's colours, sRGB, below which they tell nothing
-_SHORT = {
-    "iterations": STEPS,
-    "environment_height": 64,
-    "max_surfels": 2 * SURFELS,
-    "coarse": 1.0,
-    "renew_at": 1.0,
-    "specular_weight": 0.0,
-    "turn_share": 0.0,
-    "rate_means": 1e-3,
-}
 
 
 @dataclass(frozen=True)
@@ -107,26 +90,30 @@ def find_mouth(hull: Hull, up: F64, roof: float = 0.0) -> Mouth | None:
     """
     shell = np.argwhere(boundary(hull.cells))
     normals = _normals(hull.cells)[tuple(shell.T)]
-    level = normals @ up > min(LEVEL, float(np.cos(roof)))
+    upwards = normals @ up > min(LEVEL, float(np.cos(roof)))
     lid = np.zeros_like(hull.cells)
-    lid[tuple(shell[level].T)] = True
+    lid[tuple(shell[upwards].T)] = True
     parts, count = label(lid, np.ones((3, 3, 3)))
     if not count:
         return None
     sizes = np.bincount(parts.ravel())[1:]
     lid = parts == 1 + int(sizes.argmax())
     top = hull.ball.center + hull.ticks[np.argwhere(lid)]
-    if len(top) < LID * len(shell) or not _is_flat(top, up, max(FLAT, 0.5 * float(np.tan(roof)))):
+    if not _is_flat(top, up, max(FLAT, 0.5 * float(np.tan(roof)))):
+        lid &= _as_high_as_rim(hull, top, up)
+        top = hull.ball.center + hull.ticks[np.argwhere(lid)]
+    if len(top) < LID * len(shell):
         return None
     reach = int(np.ceil(WALL)) + 2
     x, y, z = np.meshgrid(*hull.axes(), indexing="ij")
-    above = x * up[0] + y * up[1] + z * up[2] > np.quantile(top @ up, 0.05)
+    above = x * up[0] + y * up[1] + z * up[2] > np.quantile(top @ up, RIM)
     capped = hull.cells | (binary_dilation(lid, iterations=reach) & above)
     deep = hull.cells & (distance_transform_edt(capped) > WALL)
     parts, _ = label(deep)
     below = binary_dilation(lid, iterations=2) & deep
     hollow = deep & np.isin(parts, np.unique(parts[below]))
-    if hollow.sum() < HOLLOW * hull.cells.sum():
+    depth = np.ptp((x * up[0] + y * up[1] + z * up[2])[hollow]) if hollow.any() else 0
+    if depth < DEEP * hull.cell or hollow.sum() < HOLLOW * hull.cells.sum():
         return None
     vessel = replace(hull, cells=hull.cells & ~hollow)
     return Mouth(top, hollow, vessel)
@@ -135,10 +122,27 @@ def find_mouth(hull: Hull, up: F64, roof: float = 0.0) -> Mouth | None:
 def _is_flat(points: F64, up: F64, limit: float) -> bool:
     """Whether a level patch (N, 3) is thin: by its height beside its width."""
     height = points @ up
-    flat = points - height[:, None] * up
-    width = 2 * float(np.linalg.norm(flat - flat.mean(0), axis=1).max())
-    low, high = np.quantile(height, [0.05, 0.95])
-    return bool(high - low < limit * width)
+    low, high = np.quantile(height, [RIM, 1 - RIM])
+    return bool(high - low < limit * _width(points, up))
+
+
+def _width(points: F64, up: F64) -> float:
+    """Of a level patch (N, 3), seen from above."""
+    flat = points - (points @ up)[:, None] * up
+    return 2 * float(np.linalg.norm(flat - flat.mean(0), axis=1).max())
+
+
+def _as_high_as_rim(hull: Hull, top: F64, up: F64) -> Bools:
+    """(n, n, n) cells about as high as the rim of a level patch (N, 3); none of a dome.
+
+    What rises from a lid is no part of it, such as the root of a handle.
+    """
+    plateau = find_plateau(hull, top, up)
+    if plateau is None:
+        return np.zeros_like(hull.cells)
+    x, y, z = np.meshgrid(*hull.axes(), indexing="ij")
+    above = x * up[0] + y * up[1] + z * up[2] - float((plateau.points @ up).mean())
+    return np.asarray((above > -DROP * hull.cell) & (above < FLAT * _width(top, up)))
 
 
 def _normals(cells: Bools) -> F32:
@@ -147,24 +151,6 @@ def _normals(cells: Bools) -> F32:
     gradient = -np.stack(np.gradient(smooth), -1)
     length = np.linalg.norm(gradient, axis=-1, keepdims=True)
     return np.asarray(gradient / np.maximum(length, 1e-9), np.float32)
-
-
-@dataclass(frozen=True)
-class Trial:
-    """PSNR in dB of held-out photos on the lid, by the closed hull and by the vessel."""
-
-    closed: float
-    vessel: float
-
-    @property
-    def opens(self) -> bool:
-        """Whether the vessel explains them clearly better."""
-        return self.vessel > self.closed + BETTER
-
-    @property
-    def words(self) -> str:
-        """Both figures, for people."""
-        return f"closed {self.closed:.2f} dB, as a vessel {self.vessel:.2f} dB"
 
 
 @dataclass(frozen=True, eq=False)
@@ -311,67 +297,6 @@ def looking_in(photos: Sequence[TrainingPhoto], mouth: Mouth, up: F64) -> NDArra
     sine = towards @ up / np.linalg.norm(towards, axis=1)
     looks = np.flatnonzero(sine > LOOKS_IN)
     return looks if len(looks) >= FEWEST else looks[:0]
-
-
-def tried(
-    params: StartParams,
-    model: SparseModel,
-    photos: list[TrainingPhoto],
-    closed: Hull,
-    mouth: Mouth,
-    *,
-    near: float,
-    progress: Callable[[int, int], None] | None = None,
-) -> Trial | None:
-    """Explain photos by the closed hull and by the vessel; None where too few photos look in.
-
-    It runs on the CPU, so that the answer is the same with and without a GPU.
-
-    Args:
-        near: depth before which nothing is drawn, world units.
-        progress: told the steps done and their number; may raise.
-    """
-    looks = looking_in(photos, mouth, model.up)
-    if not len(looks):
-        return None
-    held = set(looks[EACH // 2 :: EACH].tolist())
-    small = [shrunk(p, SIDE / max(p.camera.width, p.camera.height)) for p in photos]
-    learnt = [photo for i, photo in enumerate(small) if i not in held]
-    asked = [small[i] for i in sorted(held)]
-    figures = []
-    for number, hull in enumerate((closed, mouth.vessel)):
-
-        def told(step: int, steps: int, before: int = number) -> None:
-            if progress is not None:
-                progress(before * steps + step, 2 * steps)
-
-        figures.append(_explained(params, model, learnt, asked, hull, mouth.lid, near, told))
-    return Trial(*figures)
-
-
-def _explained(
-    params: StartParams,
-    model: SparseModel,
-    learnt: list[TrainingPhoto],
-    asked: list[TrainingPhoto],
-    hull: Hull,
-    lid: F64,
-    near: float,
-    told: Callable[[int, int], None],
-) -> float:
-    """PSNR in dB of photos that a short training has not seen, on the lid."""
-    few = params.model_copy(update={"surfels": SURFELS, "local_surfels": 2000})
-    start = start_of(Given(few, model, learnt, hull=hull), masked=True)
-    field = TrainableField(
-        TrainParams.model_validate(_SHORT), model, start, learnt, masked=True, near=near
-    )
-    short_run(field, learnt, STEPS, params.seed, masked=True, progress=told)
-
-    def on_the_lid(photo: TrainingPhoto) -> Bools:
-        assert photo.mask is not None
-        return np.asarray(shown(photo.camera, lid) & (photo.mask > 127).numpy(), np.bool_)
-
-    return explained(field, asked, on_the_lid)
 
 
 def shown(camera: Camera, points: F64) -> Bools:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from scenes import Box, Scene, constant, look_at
+from scenes import Box, Colour, Scene, constant, look_at
 from training.test_stereo import grain
 from training.test_trainer import model_of
 
@@ -21,15 +21,15 @@ WIDE, TOP, FLOOR, WALL = 0.8, 0.5, -0.1, 0.08
 LOW, INNER = -0.4, WIDE - WALL
 
 
-def open_box(floor: float = FLOOR) -> Scene:
+def open_box(floor: float = FLOOR, color: Colour = grain) -> Scene:
     """A box of even walls whose floor lies at a height; a floor at TOP makes it a block."""
     walls = [
-        Box((-WIDE, -WIDE, LOW), (-INNER, WIDE, TOP), grain),
-        Box((INNER, -WIDE, LOW), (WIDE, WIDE, TOP), grain),
-        Box((-WIDE, -WIDE, LOW), (WIDE, -INNER, TOP), grain),
-        Box((-WIDE, INNER, LOW), (WIDE, WIDE, TOP), grain),
+        Box((-WIDE, -WIDE, LOW), (-INNER, WIDE, TOP), color),
+        Box((INNER, -WIDE, LOW), (WIDE, WIDE, TOP), color),
+        Box((-WIDE, -WIDE, LOW), (WIDE, -INNER, TOP), color),
+        Box((-WIDE, INNER, LOW), (WIDE, WIDE, TOP), color),
     ]
-    return Scene((*walls, Box((-WIDE, -WIDE, LOW), (WIDE, WIDE, floor), grain)), constant(0, 0, 0))
+    return Scene((*walls, Box((-WIDE, -WIDE, LOW), (WIDE, WIDE, floor), color)), constant(0, 0, 0))
 
 
 def photos_of(scene: Scene) -> tuple[list[TrainingPhoto], SparseModel]:
