@@ -26,7 +26,7 @@ Ints = NDArray[np.int64]
 
 SIDE = 200  # pixels of the photos that are compared: about one for a cell
 MOST = 60  # photos that are compared
-SHALLOW = 9.0  # cells below the rim, where the first floor is tried
+SHALLOW = 6.0  # cells below the rim, where the first floor is tried: too shallow for a vessel
 STEP = 3.0  # cells between the floors that are tried
 PLACE = 2  # cells along the side of a place
 VIEWS = 4  # photos that show a place, at least
@@ -53,7 +53,7 @@ class Below:
     @property
     def opens(self) -> bool:
         """Whether the lid is a mouth."""
-        return self.ratio < OPENS
+        return self.ratio < OPENS and self.depth > SHALLOW
 
     @property
     def words(self) -> str:

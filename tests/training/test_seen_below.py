@@ -68,8 +68,8 @@ def test_a_shaded_top_is_no_mouth() -> None:
 def test_no_hollow_reaches_the_ground(box: Case) -> None:
     hull = box[2]
     z = np.meshgrid(*hull.axes(), indexing="ij")[2]
-    found = judged(box, z < 0.1)
-    assert (found.vessel.cells & (z < 0.1)).sum() == (hull.cells & (z < 0.1)).sum()
+    found = judged(box, z < 0.3)
+    assert (found.vessel.cells & (z < 0.3)).sum() == (hull.cells & (z < 0.3)).sum()
 
 
 def test_too_few_photos_from_above_tell_nothing(box: Case) -> None:
