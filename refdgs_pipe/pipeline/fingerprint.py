@@ -15,6 +15,7 @@ from refdgs_pipe.trouble import raise_if_machine
 
 # A file changed this shortly before it was hashed may change again without its times showing it.
 TOO_NEW_NS = 2_000_000_000
+OLDER = 32  # hex digits of the hashes that older workspaces hold
 
 
 @dataclass(frozen=True)
@@ -25,10 +26,19 @@ class Fingerprint:
     files: dict[str, str]
 
 
-def hash_file(path: Path) -> str:
-    """Hash a file's bytes (BLAKE2b, 128 bits)."""
+def hasher(like: str = "") -> "hashlib.blake2b":
+    """What computes a hash: BLAKE2b, 256 bits; 128 bits if it is compared with a hash of those.
+
+    Args:
+        like: the hash that it is compared with, if there is one.
+    """
+    return hashlib.blake2b(digest_size=16 if len(like) == OLDER else 32)
+
+
+def hash_file(path: Path, like: str = "") -> str:
+    """Hash a file's bytes; `like` as in `hasher`."""
     with path.open("rb") as file:
-        return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
+        return hashlib.file_digest(file, lambda: hasher(like)).hexdigest()
 
 
 def hash_path(path: Path) -> str:
@@ -39,9 +49,14 @@ def hash_path(path: Path) -> str:
 
 
 def combine(files: Mapping[str, str]) -> str:
-    """One hash of names and their contents' hashes, whatever their order."""
+    """One hash of names and their contents' hashes, whatever their order.
+
+    It has 128 bits if all of those have, so that the keys of older results stay the same.
+    """
     text = "".join(f"{name} {content}\n" for name, content in sorted(files.items()))
-    return hashlib.blake2b(text.encode("utf-8", "surrogateescape"), digest_size=16).hexdigest()
+    out = hasher(max(files.values(), key=len, default=""))
+    out.update(text.encode("utf-8", "surrogateescape"))
+    return out.hexdigest()
 
 
 def fingerprint(files: Iterable[tuple[str, Path]], memory: Path) -> Fingerprint:
@@ -61,7 +76,8 @@ def fingerprint(files: Iterable[tuple[str, Path]], memory: Path) -> Fingerprint:
             stat = path.stat()
             facts = [stat.st_size, stat.st_mtime_ns, stat.st_ctime_ns]
             old = known.get(name, [])
-            hashes[name] = str(old[3]) if old[:3] == facts else hash_file(path)
+            before = str(old[3]) if old else ""
+            hashes[name] = before if old[:3] == facts else hash_file(path, like=before)
         except OSError as error:
             raise_if_machine(error)
             raise CaptureError(f"{printable(path)}: cannot be read ({error.strerror})") from None

@@ -6,7 +6,7 @@ that the result can be reused.
 """
 
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from os import stat_result
@@ -281,13 +281,12 @@ class Store:
         """
         if not target.is_dir() or target.is_symlink() or not (there := visible(target)):
             return None
-        found = {name: "" if _is_odd(target / name) else hash_file(target / name) for name in there}
-        if found.items() <= known.items():
+        if _holds_only(target, there, known):
             return None
         for folder in leftovers.results_in(self.root, [stage]):
             with suppress(CorruptError):
                 made = {name: content for name, (_, content) in Manifest.read(folder).files.items()}
-                if found.items() <= made.items():
+                if _holds_only(target, there, made):
                     return None
         number, aside = 1, target.with_name(f"{target.name}.kept")
         while aside.is_symlink() or aside.exists():
@@ -338,6 +337,15 @@ def load(kind: type[T], folder: Path) -> T:
         raise_if_machine(error)
         words = printable(f"{type(error).__name__}: {error}")
         raise CorruptError(f"{folder}: cannot be read ({words})") from error
+
+
+def _holds_only(target: Path, there: Iterable[str], known: Mapping[str, str]) -> bool:
+    """Whether the named files are all known by their content, and none is a link."""
+    return all(
+        not _is_odd(target / name)
+        and hash_file(target / name, like=known.get(name, "")) == known.get(name)
+        for name in there
+    )
 
 
 def _is_odd(path: Path) -> bool:

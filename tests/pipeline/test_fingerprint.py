@@ -1,5 +1,7 @@
 """Laws of hashing photos, and of not hashing them again."""
 
+import hashlib
+import json
 import os
 from pathlib import Path
 
@@ -7,7 +9,7 @@ import pytest
 
 from refdgs_pipe.errors import CaptureError
 from refdgs_pipe.pipeline import fingerprint as module
-from refdgs_pipe.pipeline.fingerprint import fingerprint
+from refdgs_pipe.pipeline.fingerprint import combine, fingerprint, hash_file
 
 
 @pytest.fixture
@@ -23,9 +25,9 @@ def hashed(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     names: list[str] = []
     real = module.hash_file
 
-    def listening(path: Path) -> str:
+    def listening(path: Path, like: str = "") -> str:
         names.append(path.name)
-        return real(path)
+        return real(path, like)
 
     monkeypatch.setattr(module, "hash_file", listening)
     return names
@@ -96,3 +98,35 @@ def test_two_photos_of_one_name_both_count(photo: Path) -> None:
 def test_a_photo_that_cannot_be_read_is_named(photo: Path) -> None:
     with pytest.raises(CaptureError, match=r"gone\.jpg: cannot be read"):
         fingerprint([("a", photo.with_name("gone.jpg"))], photo.parent / "memory")
+
+
+def older(path: Path) -> str:
+    """A file's hash as older versions had it."""
+    return hashlib.blake2b(path.read_bytes(), digest_size=16).hexdigest()
+
+
+def test_hashes_have_256_bits_and_are_compared_with_those_of_128(photo: Path) -> None:
+    assert hash_file(photo) == hashlib.blake2b(b"one", digest_size=32).hexdigest()
+    assert hash_file(photo, like=older(photo)) == older(photo)
+    assert hash_file(photo, like="c3") == hash_file(photo)  # no hash is as short as that
+
+
+def test_hashes_of_older_hashes_stay_the_same(photo: Path) -> None:
+    new, old = hash_file(photo), older(photo)
+    line = hashlib.blake2b(f"a {old}\n".encode(), digest_size=16).hexdigest()
+    assert combine({"a": old}) == line
+    assert len(combine({"a": new})) == len(combine({"a": new, "b": old})) == 64
+
+
+def test_photos_of_an_older_workspace_keep_their_hashes(
+    photo: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settle(monkeypatch)
+    memory, stat = photo.parent / "memory", photo.stat()
+    facts = [stat.st_size, stat.st_mtime_ns, stat.st_ctime_ns, older(photo)]
+    memory.write_text(json.dumps({"files": {"a": facts}}))
+    assert fingerprint([("a", photo)], memory).files == {"a": older(photo)}
+    os.utime(photo, ns=(stat.st_atime_ns, stat.st_mtime_ns - 5_000_000_000))  # only touched
+    assert fingerprint([("a", photo)], memory).files == {"a": older(photo)}
+    photo.write_bytes(b"two")
+    assert fingerprint([("a", photo)], memory).files == {"a": older(photo)}

@@ -1,5 +1,6 @@
 """A workspace from somebody else: what lies in it is not believed, and nothing else is touched."""
 
+import hashlib
 import json
 import os
 import shutil
@@ -14,7 +15,7 @@ from letter_scene import PUBLISH, Scene, made
 from refdgs_pipe.errors import CorruptError, InputError
 from refdgs_pipe.pipeline.events import Damaged, Warned
 from refdgs_pipe.pipeline.lock import OWNER, locked
-from refdgs_pipe.pipeline.manifest import MANIFEST, Manifest, _checksum
+from refdgs_pipe.pipeline.manifest import MANIFEST, Manifest, _checksum, check_contents
 
 
 @pytest.fixture
@@ -223,6 +224,30 @@ def test_a_manifest_of_before_there_were_checksums_is_read_and_checked(scene: Sc
     forge(folder, lambda record: record["origin"].update(version=9), sealed=False)
     with pytest.raises(CorruptError, match="is the record of"):
         Manifest.read(folder)
+
+
+def test_a_result_with_hashes_of_128_bits_is_still_checked(scene: Scene) -> None:
+    folder = scene.folder("shout")
+
+    def with_hashes(size: int) -> None:
+        def change(record: dict[str, Any]) -> None:
+            for name, facts in record["files"].items():
+                data = (folder / name).read_bytes()
+                facts[1] = hashlib.blake2b(data, digest_size=size).hexdigest()
+
+        forge(folder, change)
+
+    with_hashes(16)
+    older = Manifest.read(folder)
+    assert len(older.digest) == 32
+    check_contents(folder, older)
+    with_hashes(1)  # as short as that, a hash proves nothing
+    with pytest.raises(CorruptError, match="content was changed"):
+        check_contents(folder, Manifest.read(folder))
+    file = folder / next(iter(older.files))
+    file.write_bytes(file.read_bytes()[::-1])
+    with pytest.raises(CorruptError, match="content was changed"):
+        check_contents(folder, older)
 
 
 def test_a_file_that_was_added_to_a_result_is_damage(scene: Scene) -> None:
