@@ -59,8 +59,13 @@ def combine(files: Mapping[str, str]) -> str:
     return out.hexdigest()
 
 
-def fingerprint(files: Iterable[tuple[str, Path]], memory: Path) -> Fingerprint:
+def fingerprint(
+    files: Iterable[tuple[str, Path]], memory: Path, last: Mapping[str, str] | None = None
+) -> Fingerprint:
     """Hash the named files of a source. What has unchanged size and times is known by `memory`.
+
+    Args:
+        last: name -> hash when they were last used: files are compared with hashes as long as that.
 
     Raises:
         CaptureError: a file cannot be read.
@@ -76,7 +81,7 @@ def fingerprint(files: Iterable[tuple[str, Path]], memory: Path) -> Fingerprint:
             stat = path.stat()
             facts = [stat.st_size, stat.st_mtime_ns, stat.st_ctime_ns]
             old = known.get(name, [])
-            before = str(old[3]) if old else ""
+            before = str(old[3]) if old else (last or {}).get(name, "")
             hashes[name] = before if old[:3] == facts else hash_file(path, like=before)
         except OSError as error:
             raise_if_machine(error)

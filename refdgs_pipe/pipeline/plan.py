@@ -100,7 +100,9 @@ class Pipeline:
 
     def fingerprint(self, source: Source) -> Fingerprint:
         """Hash the source; files with unchanged size and times are not read again."""
-        return fingerprint(source.files(), self.store.root / SOURCE_MEMORY)
+        last = self.last_fingerprint()
+        memory = self.store.root / SOURCE_MEMORY
+        return fingerprint(source.files(), memory, None if last is None else last.files)
 
     def forget_source(self) -> None:
         """Read every file of the source anew the next time."""

@@ -130,3 +130,10 @@ def test_photos_of_an_older_workspace_keep_their_hashes(
     assert fingerprint([("a", photo)], memory).files == {"a": older(photo)}
     photo.write_bytes(b"two")
     assert fingerprint([("a", photo)], memory).files == {"a": older(photo)}
+
+
+def test_photos_of_an_older_workspace_are_read_anew_as_they_were(photo: Path) -> None:
+    memory, last = photo.parent / "memory", {"a": older(photo)}
+    assert fingerprint([("a", photo)], memory, last).files == last
+    photo.write_bytes(b"two")
+    assert fingerprint([("a", photo)], photo.parent / "none", last).files != last
