@@ -34,6 +34,7 @@ RIM = 0.05  # quantile of a lid's height that is its rim's: silhouettes bulge in
 LAYER = 1.5, 4.5  # cells below the rim, where an open mouth is empty
 THROUGH = 0.33  # of the cells there, that photos see through, at least
 RATHER = 4.0  # photos that see through such a cell, for each that does not
+CLEAR = 1.0  # cells from the walls of the hollow, where cells of this layer are asked
 CORE = 3.0  # cells from the walls of the hollow, where its floor is looked for
 ENOUGH = 30  # photos that tell of the cells of one layer, all together
 
@@ -94,12 +95,13 @@ def see_inside(
     places = hull.ball.center + hull.ticks[asked]
     free, filled = _votes(maps, places, SAME * hull.cell)
     under = (float(np.quantile(mouth.lid @ model.up, RIM)) - places @ model.up) / hull.cell
-    layer = (under > LAYER[0]) & (under < LAYER[1])
+    walls = distance_transform_edt(mouth.hollow)[tuple(asked.T)]
+    layer = (under > LAYER[0]) & (under < LAYER[1]) & (walls > CLEAR)
     if not layer.any():
         return None
     through = float(((free >= FREE) & (free >= filled))[layer].mean())
     rather = float(free[layer].sum() / max(1, filled[layer].sum()))
-    core = (distance_transform_edt(mouth.hollow) > CORE)[tuple(asked.T)]
+    core = walls > CORE
     above = under < _floor(under[core], free[core], filled[core])
     gone = np.zeros_like(hull.cells)
     gone[tuple(asked[above].T)] = True
