@@ -19,7 +19,7 @@ RawSet = Mapping[str, F32]
 """A set of surfels in optimised form: means (N, 3), quats (N, 4) w x y z, log_scales (N, 2),
 raw_opacities (N,), and what they carry."""
 
-SOLID, HOLLOW = 1, 2
+SOLID, HOLLOW = 1, 2  # cells of `Start.vessel`
 _SHAPES = {"means": 3, "quats": 4, "log_scales": 2, "raw_opacities": 0}
 _SETS = ("geometry", "local", "background")
 

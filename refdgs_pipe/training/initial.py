@@ -55,6 +55,16 @@ class Hull:
         x, y, z = (self.ball.center[axis] + self.ticks for axis in range(3))
         return x, y, z
 
+    def heights(self, up: F64) -> F64:
+        """(n, n, n) heights of the cells' centres along a unit direction (3,), world units."""
+        x, y, z = np.meshgrid(*self.axes(), indexing="ij")
+        return np.asarray(x * up[0] + y * up[1] + z * up[2])
+
+    def cells_at(self, points: F64) -> NDArray[np.int64]:
+        """(N, 3) the cells in which points (N, 3) lie, world; outside of the grid if they do."""
+        places = (points - self.ball.center - self.ticks[0]) / self.cell
+        return np.asarray(np.rint(places), np.int64)
+
     def on_ground(self, around: Surroundings) -> NDArray[np.bool_]:
         """(n, n, n) cells on the ground, below it, and up to GROUND_CELLS above it."""
         x, y, z = np.meshgrid(*self.axes(), indexing="ij")

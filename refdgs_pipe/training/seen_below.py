@@ -97,8 +97,7 @@ def seen_below(
     if found is None or rim > (mouth.lid @ up).max():  # something stands on the lid
         return None
     rays, along = found
-    x, y, z = np.meshgrid(*hull.axes(), indexing="ij")
-    under = (rim - (x * up[0] + y * up[1] + z * up[2])) / hull.cell
+    under = (rim - hull.heights(up)) / hull.cell
     hollow = mouth.hollow & ~grounded
     depths = np.arange(SHALLOW, under[hollow].max(initial=0) + STEP, STEP)
     lids = (hull.cells, hull.cells & ~plateau.bulge)
@@ -128,7 +127,7 @@ def _through(
     looks = looks[np.unique(np.linspace(0, len(looks) - 1, MOST).round().astype(int))]
     rays = _rays([photos[i] for i in looks], mouth.lid)
     top = np.zeros_like(closed.cells)
-    top[tuple(_cells(closed, mouth.lid).T)] = True
+    top[tuple(closed.cells_at(mouth.lid).T)] = True
     start = np.linalg.norm(rays.origins - closed.ball.center, axis=1) - 2 * closed.ball.radius
     first, along = _first(closed, closed.cells, rays, np.maximum(start, 0))
     through = (first >= 0) & binary_dilation(top).ravel()[first]
@@ -190,12 +189,6 @@ def _rays(photos: Sequence[TrainingPhoto], lid: F64) -> _Rays:
     return _Rays(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
 
-def _cells(hull: Hull, points: F64) -> Ints:
-    """(N, 3) the cells in which points (N, 3) lie."""
-    places = (points - hull.ball.center - hull.ticks[0]) / hull.cell
-    return np.asarray(np.rint(places), np.int64)
-
-
 def _first(hull: Hull, cells: Bools, rays: _Rays, along: F64) -> tuple[Ints, F64]:
     """The first of a solid's cells on each ray, as an index (N,), -1 for none; and how far it is.
 
@@ -207,7 +200,7 @@ def _first(hull: Hull, cells: Bools, rays: _Rays, along: F64) -> tuple[Ints, F64
     live = np.arange(len(along))
     for _ in range(int(4 * hull.ball.radius / (STRIDE * hull.cell))):
         points = rays.origins[live] + rays.directions[live] * along[live, None]
-        at = _cells(hull, points)
+        at = hull.cells_at(points)
         index = np.ravel_multi_index(tuple(at.clip(0, n - 1).T), (n, n, n))
         hit = ((at >= 0) & (at < n)).all(1) & cells.ravel()[index]
         found[live[hit]] = index[hit]

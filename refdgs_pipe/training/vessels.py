@@ -105,14 +105,14 @@ def find_mouth(hull: Hull, up: F64, roof: float = 0.0) -> Mouth | None:
     if len(top) < LID * len(shell):
         return None
     reach = int(np.ceil(WALL)) + 2
-    x, y, z = np.meshgrid(*hull.axes(), indexing="ij")
-    above = x * up[0] + y * up[1] + z * up[2] > np.quantile(top @ up, RIM)
+    heights = hull.heights(up)
+    above = heights > np.quantile(top @ up, RIM)
     capped = hull.cells | (binary_dilation(lid, iterations=reach) & above)
     deep = hull.cells & (distance_transform_edt(capped) > WALL)
     parts, _ = label(deep)
     below = binary_dilation(lid, iterations=2) & deep
     hollow = deep & np.isin(parts, np.unique(parts[below]))
-    depth = np.ptp((x * up[0] + y * up[1] + z * up[2])[hollow]) if hollow.any() else 0
+    depth = np.ptp(heights[hollow]) if hollow.any() else 0
     if depth < DEEP * hull.cell or hollow.sum() < HOLLOW * hull.cells.sum():
         return None
     vessel = replace(hull, cells=hull.cells & ~hollow)
@@ -140,8 +140,7 @@ def _as_high_as_rim(hull: Hull, top: F64, up: F64) -> Bools:
     plateau = find_plateau(hull, top, up)
     if plateau is None:
         return np.zeros_like(hull.cells)
-    x, y, z = np.meshgrid(*hull.axes(), indexing="ij")
-    above = x * up[0] + y * up[1] + z * up[2] - float((plateau.points @ up).mean())
+    above = hull.heights(up) - float((plateau.points @ up).mean())
     return np.asarray((above > -DROP * hull.cell) & (above < FLAT * _width(top, up)))
 
 
@@ -205,8 +204,7 @@ def find_plateau(hull: Hull, lid: F64, up: F64) -> Plateau | None:
 
 def _columns(hull: Hull, points: F64, axis: int) -> NDArray[np.int64]:
     """(M, 2) the columns of the grid along an axis, in which points (N, 3) lie."""
-    places = np.rint((points - hull.ball.center - hull.ticks[0]) / (hull.ticks[1] - hull.ticks[0]))
-    return np.unique(np.delete(places.astype(np.int64), axis, axis=1), axis=0)
+    return np.unique(np.delete(hull.cells_at(points), axis, axis=1), axis=0)
 
 
 def find_roof(hull: Hull, cameras: Sequence[Camera], up: F64) -> Plateau | None:
