@@ -131,8 +131,7 @@ def _solid(
     if roof is not None:
         closed = replace(closed, cells=closed.cells & ~roof.bulge)
         mouth = find_mouth(closed, model.up)
-    mouth = None if mouth is None else mouth.within(hull)
-    if mouth is None:
+    if mouth is None or not mouth.is_closed(hull):
         return _Solid(hull)
     if roof is not None and is_flat_top(photos, roof):
         flat = replace(hull, cells=hull.cells | mouth.hollow)

@@ -15,7 +15,7 @@ too steep for a lid, but no steeper than that camera looks. The level part below
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,23 +62,19 @@ PLAIN = 0.02  # spread of a lid's colours, sRGB, below which they tell nothing
 
 @dataclass(frozen=True)
 class Mouth:
-    """A lid, and the hull with a hollow below it.
+    """A lid, and the hollow of a vessel below it.
 
     Args:
         lid: (N, 3) centres of the lid's cells, world.
-        hollow: (n, n, n) the cells of the hollow.
-        vessel: the hull without the hollow.
+        hollow: (n, n, n) the cells of the hollow, down to a floor as thick as the walls.
     """
 
     lid: F64
     hollow: Bools
-    vessel: Hull
 
-    def within(self, hull: Hull) -> "Mouth | None":
-        """The mouth of a hull that is opened in part; None if most of the hollow is open there."""
-        if (hull.cells & self.hollow).sum() < STILL_CLOSED * self.hollow.sum():
-            return None
-        return replace(self, vessel=replace(hull, cells=hull.cells & ~self.hollow))
+    def is_closed(self, hull: Hull) -> bool:
+        """Whether most of the hollow is filled in a hull that may be opened in part."""
+        return bool((hull.cells & self.hollow).sum() >= STILL_CLOSED * self.hollow.sum())
 
 
 def find_mouth(hull: Hull, up: F64, roof: float = 0.0) -> Mouth | None:
@@ -115,8 +111,7 @@ def find_mouth(hull: Hull, up: F64, roof: float = 0.0) -> Mouth | None:
     depth = np.ptp(heights[hollow]) if hollow.any() else 0
     if depth < DEEP * hull.cell or hollow.sum() < HOLLOW * hull.cells.sum():
         return None
-    vessel = replace(hull, cells=hull.cells & ~hollow)
-    return Mouth(top, hollow, vessel)
+    return Mouth(top, hollow)
 
 
 def _is_flat(points: F64, up: F64, limit: float) -> bool:

@@ -41,14 +41,14 @@ def closed_bowl() -> np.ndarray:
 def test_a_level_top_is_opened_as_a_vessel_with_even_walls() -> None:
     mouth = find_mouth(hull(closed_bowl()), UP)
     assert mouth is not None
-    gone = closed_bowl() & ~mouth.vessel.cells
-    assert not (mouth.vessel.cells & ~closed_bowl()).any()
+    gone = mouth.hollow
+    assert not (gone & ~closed_bowl()).any()
     assert gone.sum() > 0.5 * closed_bowl().sum()
     cell = TICKS[1] - TICKS[0]
     wall = 0.3 + 0.6 * (Z + 0.5) - RADIUS  # how far inside of the outer wall
     assert wall[gone].min() > 0.5 * cell
     assert (Z[gone] + 0.5).min() > cell  # the floor stays
-    axis = mouth.vessel.cells[24, 24]
+    axis = (closed_bowl() & ~gone)[24, 24]
     assert not axis[TICKS > -0.3].any() and axis[TICKS < -0.45].any()
 
 
@@ -56,9 +56,8 @@ def test_what_photos_agreed_on_already_is_not_tried_again() -> None:
     mouth = find_mouth(hull(closed_bowl()), UP)
     assert mouth is not None
     dented = hull(closed_bowl() & (Z < 0.35))
-    again = mouth.within(dented)
-    assert again is not None and not (again.vessel.cells & ~dented.cells).any()
-    assert mouth.within(mouth.vessel) is None
+    assert mouth.is_closed(dented)
+    assert not mouth.is_closed(hull(closed_bowl() & ~mouth.hollow))
 
 
 def test_a_domed_top_is_no_lid() -> None:
@@ -202,7 +201,7 @@ def test_a_roof_is_found_if_no_camera_looks_from_low() -> None:
     assert find_mouth(solid, UP) is None  # and it is no lid otherwise
     level = replace(solid, cells=solid.cells & ~bulge)
     mouth = find_mouth(level, UP)  # what is below may be a vessel
-    assert mouth is not None and not (mouth.vessel.cells & bulge).any()
+    assert mouth is not None and not (mouth.hollow & bulge).any()
 
 
 def test_what_stands_on_a_flat_top_keeps_its_roof() -> None:
