@@ -142,6 +142,6 @@ class GroundLight:
 
 
 def at_roughness(levels: F32, roughness: F32) -> F32:
-    """(N, 4) between `GroundLight.levels` (N, K, 4), for a roughness (N,)."""
+    """(N, C) between values (N, K, C) at each of ROUGHNESSES, for a roughness (N,)."""
     weights = level_weights(np.clip(roughness, SMOOTHEST, 1))
     return np.asarray(sum(w[:, None] * levels[:, i] for i, w in enumerate(weights)), np.float32)

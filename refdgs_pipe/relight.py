@@ -30,6 +30,7 @@ from refdgs_pipe.light import (
     reflected_share,
 )
 from refdgs_pipe.ray_casting import Hits, Solid, at_hits, half_vectors
+from refdgs_pipe.surroundings import Surroundings, ground_seen
 from refdgs_pipe.vectors import unit
 
 F32 = NDArray[np.float32]
@@ -90,6 +91,10 @@ class Relit:
         self.mesh, self.tangents = textured.mesh, textured.tangents
         self.solid = Solid(self.mesh.vertices, self.mesh.faces)
         self.light: Light = Environment(environment)
+        self._beside: Surroundings | None = None
+        if ground is not None:
+            _, known = ground_seen(ground, self.mesh.vertices, len(environment))
+            self._beside = Surroundings(environment.reshape(-1, 3), known)
         self._textures = AssetTextures(
             textured.base_color, textured.roughness, textured.metallic, textured.normal
         )
@@ -281,11 +286,9 @@ class Relit:
 
     def _around(self, points: F32, directions: F32, roughness: F32) -> F32:
         """(N, 3) light that mirrored rays (N, 3) from points (N, 3) meet beside the object."""
-        far = self.light.mirrored(directions, roughness)
-        if self.ground is None:
-            return far
-        met = self.ground.mirrored(points, directions, roughness)
-        return met[:, :3] + (1 - met[:, 3:]) * far
+        if self._beside is None or self.ground is None:
+            return self.light.mirrored(directions, roughness)
+        return self._beside.mirrored(self.ground, points, directions, roughness)
 
     def _seen(self, hits: Hits, directions: F32, more: int) -> F32:
         """(N, 3) linear radiance that mirrored rays (N, 3) meet on the object.

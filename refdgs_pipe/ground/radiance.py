@@ -3,8 +3,10 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 import torch
+from scipy.ndimage import label
 
 from refdgs_pipe.artifacts.photos import Photo
 from refdgs_pipe.artifacts.sparse_model import Ball
@@ -23,6 +25,7 @@ ALIKE = 0.2  # of log radiance, within which they agree
 AGREEING = (0.3, 0.6)  # share of them: from nothing known to fully known
 EDGE = 0.01  # of the photo's longer side, round the object, that is left out
 OBJECT = 0.02  # of the mask, from which a pixel may show some of it
+NEAR_ENOUGH = 0.05  # share of known places in a blur, from which it fills a hole
 LEAST = 0.02  # share of the picture that has to be known
 
 
@@ -63,8 +66,31 @@ def ground_radiance(
     known = np.clip((share - AGREEING[0]) / (AGREEING[1] - AGREEING[0]), 0, 1).astype(np.float32)
     if (known > 0).mean() < LEAST:
         return None
-    picture = np.dstack([color * known[..., None], known])
+    picture = _without_holes(np.dstack([color * known[..., None], known]))
     return GroundLight(picture, ground.origin, ground.a, ground.b, ground.radius)
+
+
+def _without_holes(picture: F32) -> F32:
+    """(CELLS, CELLS, 4) the picture, with what the object hides filled from around it.
+
+    Places of the object just above the ground mirror the ground beside the hidden part; from
+    higher up, the hidden part is behind the object.
+
+    Args:
+        picture: as `GroundLight` has it.
+    """
+    known = picture[..., 3] > 0.5
+    parts, _ = label(~known)
+    outside = np.unique(np.concatenate([parts[0], parts[-1], parts[:, 0], parts[:, -1]]))
+    hole = ~known & ~np.isin(parts, outside)
+    around, found = np.where(hole[..., None], 0, picture).astype(np.float32), picture.copy()
+    todo, width = hole, 1.0
+    while todo.any() and width < CELLS:
+        wide = cv2.GaussianBlur(around, (0, 0), width)
+        now = todo & (wide[..., 3] > NEAR_ENOUGH)
+        found[now] = wide[now] / wide[now][:, 3:]
+        todo, width = todo & ~now, 2 * width
+    return found
 
 
 def _flattened(shown: Exposed, ground: Ground) -> F32:

@@ -14,7 +14,7 @@ from refdgs_pipe.masking.levels import LEVELS
 from refdgs_pipe.masking.plain import plain_bodies
 from refdgs_pipe.masking.repeating import covered, lattice
 from refdgs_pipe.masking.table import TOLERANCES, Table
-from refdgs_pipe.masking.unproven import unproven
+from refdgs_pipe.masking.unproven import proven, shown_from, unproven
 from refdgs_pipe.masking.walls import Wall, footprint, mirror_walls
 
 WIDE = 2.2  # radii of the ball that the plane's picture reaches at first
@@ -31,12 +31,15 @@ class Foot:
             None where nothing is known of that.
         radius: how far that picture reaches, world units.
         hangs: (n, n) of it, where photos agree on a plain body that hangs over the plane; or None.
+        proven: (n, n) of it, where photos from several sides agree on the plane's texture; None
+            where that was not asked: on a ground that repeats, and under a flash.
     """
 
     walls: list[Wall]
     covered: Bools | None = None
     radius: float = 0.0
     hangs: Bools | None = None
+    proven: Bools | None = None
 
     def on(self, ground: Ground, n: int) -> Bools:
         """(n, n) the covered cells of another picture of the plane, with the same middle."""
@@ -45,6 +48,10 @@ class Foot:
     def below(self, ground: Ground, n: int) -> Bools:
         """(n, n) the same of the cells that a plain body hangs over."""
         return self._drawn(self.hangs, ground, n)
+
+    def sure(self, ground: Ground, n: int) -> Bools | None:
+        """(n, n) the same of the cells whose texture is proven."""
+        return None if self.proven is None else self._drawn(self.proven, ground, n)
 
     def _drawn(self, cells: Bools | None, ground: Ground, n: int) -> Bools:
         if cells is None:
@@ -83,10 +90,13 @@ def foot(
         centers = np.stack([shot.camera.center for shot in shots])
         given = (table.colour, seen, ground, centers, ball.radius)
         there, hangs = plain_bodies(*given)
+        sure = None
         if not flash:
-            there |= unproven(*given)
+            towards = shown_from(table.colour, seen, ground, centers)
+            there |= unproven(*given, towards)
+            sure = proven(towards)
         walls = mirror_walls(table, seen, centers, ball.radius)
-        return Foot(walls, there if there.any() else None, ground.radius, hangs)
+        return Foot(walls, there if there.any() else None, ground.radius, hangs, sure)
     return Foot([], covered(table.colour, _agreeing(table, seen), pattern), ground.radius)
 
 

@@ -37,6 +37,7 @@ from refdgs_pipe.masking.solid import (
     shadow,
     silhouette,
     standing,
+    without_bites,
 )
 from refdgs_pipe.masking.table import (
     Evidence,
@@ -164,6 +165,7 @@ class _Worker:
         reach = WIDE * model.ball.radius if found is None else found.reach
         ground = Ground.under(self.ball, *plane, reach)
         covered, self.below = (of(ground, level.cells) for of in (stands.on, stands.below))
+        self.sure = stands.sure(ground, level.cells)
         self.table = Table(ground, level.cells, len(self.shots), threads, covered)
         within = found.ball if found is not None and level is LAST else self.ball
         self.cells = grid(within, *plane, level.solid)
@@ -204,8 +206,8 @@ class _Worker:
         """Masks as fine as photos are, of what all of them agree on."""
         evidence = self._evidence(found)
         values, known = self._with_colours(evidence, found), [e.known for e in evidence]
-        outlines = self._parts_of(found.outlines)
-        solid = self.cells.inside
+        outlines, proven = self._parts_of(found.outlines), self._proven()
+        solid = bitten = self.cells.inside
         for deny in self.level.denials:
             masks = self._near_outlines(values, outlines)
             free = self._free(masks)
@@ -213,10 +215,16 @@ class _Worker:
             if solid.sum() < LEAST_CELLS:
                 return None
             solid = self._covering(solid, free, known, values)
+            bitten = solid
+            if proven is not None:
+                told = (self.cells, solid, self.shots, free, known, proven)
+                solid = without_bites(*told, self.plane, deny=deny)
+            bitten = solid & ~bitten
             solid = standing(self.cells, solid, self.shots, free, known, self.plane)
             outlines = self._silhouettes(solid)
             self.band = [max(2, round(band / 2)) for band in self.band]
-        values = self._with_contact(values, solid, outlines)
+        foot = solid & (low(self.cells, *self.plane) | bitten)
+        values = self._with_contact(values, foot, outlines)
         masks = self._near_outlines(values, outlines)
         return self._placed(masks, outlines, solid, found.room)
 
@@ -261,9 +269,15 @@ class _Worker:
             out.append(with_colour(one.value, colour, near, covers))
         return out
 
-    def _with_contact(self, values: list[F32], solid: Bools, outlines: list[Bools]) -> list[F32]:
-        """(H, W) the evidence, where the solid shows at the contact at least that it is likely."""
-        foot = solid & low(self.cells, *self.plane)
+    def _proven(self) -> list[Bools] | None:
+        """(H, W) where each photo would show ground whose texture is proven; None: not known."""
+        if self.sure is None:
+            return None
+        picture, ground = self.sure.astype(np.float32), self.table.ground
+        return [ground.drawn(picture, shot.camera, 0.0) > 0.5 for shot in self.shots]
+
+    def _with_contact(self, values: list[F32], foot: Bools, outlines: list[Bools]) -> list[F32]:
+        """(H, W) the evidence, where the solid's foot shows at least that it is likely."""
         out = []
         for value, shot, outline in zip(values, self.shots, outlines, strict=True):
             edge = max(1.0, EDGE * pixels_of(self.cells.size, shot, self.ball.center))

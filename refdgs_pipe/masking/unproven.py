@@ -31,7 +31,9 @@ LEAK = 3  # cells by which the texture of its own edge proves a foot's inside
 AROUND, PROVEN = 0.25, 0.4  # ball radii round the places, and the share of it that is proven
 
 
-def unproven(colour: F32, seen: F32, ground: Ground, centers: F64, radius: float) -> Bools:
+def unproven(
+    colour: F32, seen: F32, ground: Ground, centers: F64, radius: float, towards: Bools
+) -> Bools:
     """(n, n) cells of the plane below something, where nothing proves that photos see the plane.
 
     No cell is marked if the plane around them is not proven either. A part is marked only if most
@@ -43,10 +45,10 @@ def unproven(colour: F32, seen: F32, ground: Ground, centers: F64, radius: float
         colour: (n, n, 3) log colour that most photos agree on, NaN where unknown.
         seen: (N, n, n, 3) the plane as each photo shows it, as from `Table.seen`.
         centers: (N, 3) of the cameras, world; radius: of the ball round the object, world units.
+        towards: (SECTORS, n, n) of `shown_from`.
     """
     n = len(colour)
     cell = 2 * ground.radius / n
-    towards = shown_from(colour, seen, ground, centers)
     sure = proven(towards)
     under = below(colour, seen, ground, centers, radius) & ~sure
     gap, foot = (_disc(width * radius / cell) for width in (GAP, FOOT))

@@ -7,7 +7,6 @@ meets the object. docs/asset.md says what decides what.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import torch
@@ -15,10 +14,12 @@ from numpy.typing import NDArray
 
 from refdgs_pipe.artifacts.appearance import Appearance
 from refdgs_pipe.artifacts.mesh import TriangleMesh
-from refdgs_pipe.ground_light import GroundLight
+from refdgs_pipe.ground_light import GroundLight, at_roughness
 from refdgs_pipe.irradiance import Sky, links_of, look_around, spread
-from refdgs_pipe.light import SMOOTHEST, Environment, blur, lookups, solid_angles, texel_directions
+from refdgs_pipe.light import Environment, blur, solid_angles
+from refdgs_pipe.surroundings import Surroundings, ground_seen
 from refdgs_pipe.texture.false_metal import false_metal
+from refdgs_pipe.texture.matrices import corner_matrix, look_matrix
 from refdgs_pipe.texture.mean_light import MeanLight
 from refdgs_pipe.texture.sampling import Samples
 from refdgs_pipe.texture.unknowns import Batch, State, Unknown
@@ -159,22 +160,34 @@ class _Problem:
         self.guess = light if mean.white else _balanced(light)
         self.ground = ground
         self.height = len(light)
-        self.told, self.known = self._ground_seen()
+        self.told, self.known = ground_seen(ground, mesh.vertices, self.height)
+        self.below: F32 | None = None
+        if samples.ground is not None:
+            beside = Surroundings(self.told, self.known)
+            self.below = beside.levels(samples.ground, samples.mirrored)
         self.blur = blur(self.height)
         self.links = links_of(mesh.faces)
         self.sky: Sky = _look_around(mesh, lift)
-        self.corners = _corner_matrix(mesh, samples.face, samples.weights)
+        self.corners = corner_matrix(mesh, samples.face, samples.weights)
         near = samples.near_face >= 0
         self.far = ~near
         self.sent = self._filled(samples.radiance)
-        met = _corner_matrix(mesh, np.maximum(samples.near_face, 0), samples.near_weights)
+        met = corner_matrix(mesh, np.maximum(samples.near_face, 0), samples.near_weights)
         self.near = np.where(near[:, None], met @ self.sent, 0).astype(np.float32)
-        self.looks = [_look_matrix(samples.mirrored, rows) for rows in self.blur.heights[:-1]]
+        self.looks = [look_matrix(samples.mirrored, rows) for rows in self.blur.heights[:-1]]
         order = np.random.default_rng(0).permutation(len(samples.face))
         parts = np.array_split(order, max(1, round(len(order) / _BATCH)))
         self.rows = [np.sort(part) for part in parts]
         self.batches = [
-            Batch.of(samples, self.near, self.corners, self.looks, rows, mean.lighting.flash)
+            Batch.of(
+                samples,
+                self.near,
+                self.corners,
+                self.looks,
+                rows,
+                flash=mean.lighting.flash,
+                below=self.below,
+            )
             for rows in self.rows
         ]
 
@@ -199,9 +212,7 @@ class _Problem:
         guess = Environment(self.guess)
         rough = np.full(len(self.far), _GUESSED, np.float32)
         mirrored = guess.mirrored(self.samples.mirrored, rough)
-        below = self.samples.of_ground(rough)
-        open_to = (1 - below[:, 3:]) * self.far[:, None]
-        sky = open_to > 0.5
+        sky = self.far[:, None] & (self.samples.of_ground(rough)[:, 3:] < 0.5)
         given, had = (self._filled(np.where(sky, v, 0)) for v in (self.samples.specular, mirrored))
         share = given.mean(1) / np.maximum(had.mean(1), 1e-4)
         unit = max(
@@ -211,7 +222,11 @@ class _Problem:
             / max(float(self.guess.mean()), 1e-6),
         )
         seen = np.where(self.far[:, None], self.samples.specular, 0)
-        met = np.float32(unit) * mirrored * open_to + below[:, :3]
+        met = np.float32(unit) * mirrored * self.far[:, None]
+        if self.below is not None:
+            rest = Environment(np.float32(unit) * self._beyond(self.guess))
+            beyond = rest.mirrored(self.samples.mirrored, rough)
+            met = (at_roughness(self.below, rough) + beyond) * self.far[:, None]
         given, had = (self._filled(np.asarray(v, np.float32)) for v in (seen, met))
         share = given.mean(1) / np.maximum(had.mean(1), 1e-4)
         metallic = np.clip((share - 0.06) / 0.5, 0.05, 0.9) if metal else np.zeros(count)
@@ -227,18 +242,6 @@ class _Problem:
         )
         return self._lit(state)
 
-    def _ground_seen(self) -> tuple[F32, NDArray[np.bool_]]:
-        """(H * 2H, 3) the ground's light from the middle of the mesh, and (H * 2H,) where."""
-        away = texel_directions(self.height).astype(np.float32).reshape(-1, 3)
-        if self.ground is None:
-            return np.zeros_like(away), np.zeros(len(away), np.bool_)
-        vertices = self.mesh.vertices
-        middle = np.broadcast_to((vertices.min(0) + vertices.max(0)) / 2, away.shape)
-        met = self.ground.mirrored(middle, away, np.full(len(away), SMOOTHEST, np.float32))
-        share = met[:, 3]
-        told = met[:, :3] / np.maximum(share, np.float32(1e-6))[:, None]
-        return np.asarray(told, np.float32), share > 0.5
-
     def _white_unit(self) -> float:
         """The factor of the guess under which hardly any diffuse colour is brighter than white."""
         if self.mean.white:  # what a flash sheds is known
@@ -247,7 +250,7 @@ class _Problem:
         nothing = np.zeros_like(self.sent)
         known = self.known.reshape(self.height, -1, 1)
         told = (known * self.told.reshape(self.guess.shape)).astype(np.float32)
-        far = self.mean.received(np.where(known, 0, self.guess), self.sky, nothing).mean(1)
+        far = self.mean.received(self._beyond(self.guess), self.sky, nothing).mean(1)
         near = self.mean.received(told, self.sky, self.sent).mean(1)
         seen = (np.asarray(self.corners.sum(0)).reshape(-1) > 1) & (self.sky.openness > _OPEN)
         if not seen.any():
@@ -267,13 +270,26 @@ class _Problem:
         Args:
             between: what reflects no more than the first is no metal, no less than the second is.
         """
-        light, variation = self._variation(state)
+        rest, variation = self._variation(state)
         plastic, metal = between
-        found = variation.reflectance(light, state.roughness)
+        found = variation.reflectance(rest, state.roughness)
         metallic = smooth_step(found, plastic, metal)
-        share, told = variation.tint(light, state.roughness)
-        tint = np.asarray(state.tint + told * (share - state.tint), np.float32)
-        return self._lit(replace(state, metallic=metallic, told_metallic=metallic, tint=tint))
+        return self.tell_tint(replace(state, metallic=metallic, told_metallic=metallic))
+
+    def tell_tint(self, state: State) -> State:
+        """Estimate the colour of metals, and with it how bright the far light is.
+
+        Both are left as they are if the ground's light is not known.
+        """
+        if self.below is None:
+            return self._lit(state)
+        rest, variation = self._variation(state)
+        metal = state.metallic > 0.5
+        unit, tint = variation.tint(rest, state.roughness, metal)
+        bright = np.where(self.known, 1, unit)[:, None]
+        told = np.where(metal[:, None], tint, state.tint).astype(np.float32)
+        light = (state.light * bright).astype(np.float32)
+        return self._lit(replace(state, light=light, tint=told, told_tint=told))
 
     def shown_by_photos(self, state: State) -> State:
         """Metals shall look as in the photos from now on, which are sharper than the field.
@@ -298,7 +314,7 @@ class _Problem:
     def _unexplained(self, state: State) -> tuple[F32, F32]:
         """(V,) squared sRGB differences around each vertex, from the fit and from its mean."""
         missed, colours = np.zeros((len(self.far), 1)), np.zeros((len(self.far), 3))
-        unknown = Unknown(state)
+        unknown = Unknown(state, balanced=not self.mean.white)
         with torch.no_grad():
             for rows, batch in zip(self.rows, self.batches, strict=True):
                 colours[rows] = batch.target
@@ -321,17 +337,23 @@ class _Problem:
         found = variation.roughness(light, state.metallic, state.tint)
         smoother = np.minimum(state.roughness, found)
         roughness = np.asarray(found + state.metallic * (smoother - found), np.float32)
-        return self._lit(replace(state, roughness=roughness, told_roughness=roughness))
+        return self.tell_tint(replace(state, roughness=roughness, told_roughness=roughness))
 
     def _variation(self, state: State) -> tuple[Environment, ViewVariation]:
-        light = Environment(state.light.reshape(self.height, -1, 3))
-        return light, ViewVariation(self.samples, self.corners, self.near, self.links)
+        light = Environment(self._beyond(state.light.reshape(self.height, -1, 3)))
+        shown = ViewVariation(self.samples, self.corners, self.near, self.links, self.below)
+        return light, shown
+
+    def _beyond(self, light: F32) -> F32:
+        """(H, 2H, 3) light without that of the ground, which `below` has."""
+        known = self.known.reshape(self.height, -1, 1)
+        return np.asarray(np.where(known, 0, light), np.float32)
 
     def descend(
         self, state: State, epochs: int, rate: float, progress: Callable[[int], None]
     ) -> State:
         """Adam on all unknowns, batch by batch."""
-        unknown = Unknown(state)
+        unknown = Unknown(state, balanced=not self.mean.white)
         optimizer = torch.optim.Adam(unknown.groups(rate))
         links = torch.from_numpy(self.links)
         for epoch in range(epochs):
@@ -369,23 +391,3 @@ def _heavy_median(values: F32, weights: F32) -> float:
     order = values.argsort()
     total = np.cumsum(weights[order])
     return float(values[order][np.searchsorted(total, total[-1] / 2)])
-
-
-def _corner_matrix(mesh: TriangleMesh, face: Ints, weights: F32) -> Any:
-    """Sparse (N, V): values at places in faces from values at vertices."""
-    from scipy.sparse import csr_array
-
-    start = np.arange(0, 3 * len(face) + 1, 3)
-    columns = mesh.faces[face].reshape(-1)
-    shape = (len(face), len(mesh.vertices))
-    return csr_array((weights.reshape(-1).astype(np.float32), columns, start), shape=shape)
-
-
-def _look_matrix(directions: F32, height: int) -> Any:
-    """Sparse (N, 2 height^2): values in directions from a lat-long picture."""
-    from scipy.sparse import csr_array
-
-    index, weights = lookups(directions, height)
-    start = np.arange(0, 4 * len(index) + 1, 4)
-    shape = (len(index), 2 * height * height)
-    return csr_array((weights.reshape(-1), index.reshape(-1), start), shape=shape)

@@ -19,6 +19,7 @@ from refdgs_pipe.light import (
     level_weights,
     passed_share,
     reflection_line,
+    solid_angles,
 )
 from refdgs_pipe.ops import srgb_curve
 from refdgs_pipe.texture.sampling import Samples, seen_roughness
@@ -29,6 +30,7 @@ Ints = NDArray[np.int64]
 
 _ROUGH = 1e-4  # loss for being smooth
 _TOLD = 0.06  # loss for leaving what was told
+_WHITE = 0.02  # loss for light that is not white
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,7 @@ class State:
         light: (H * 2H, 3); received: (V, 3) what a white matte surface would show.
         roughness, metallic: (V,); tint: (V, 3); gain: (V, 3), of the diffuse radiance.
         told_metallic, told_roughness: (V,) what was told, to be kept near; None before.
+        told_tint: (V, 3) the same.
         known: (H * 2H,) where the light is not asked for; None: nowhere.
     """
 
@@ -50,13 +53,18 @@ class State:
     received: F32
     told_metallic: F32 | None = None
     told_roughness: F32 | None = None
+    told_tint: F32 | None = None
     known: NDArray[np.bool_] | None = None
 
 
 class Unknown:
-    """The unknowns while they change: unbounded, on torch's tape."""
+    """The unknowns while they change: unbounded, on torch's tape.
 
-    def __init__(self, state: State) -> None:
+    Args:
+        balanced: whether the light is about white, because cameras balance photos so.
+    """
+
+    def __init__(self, state: State, *, balanced: bool) -> None:
         def leaf(values: F32) -> Tensor:
             return torch.from_numpy(np.array(values, np.float32)).requires_grad_()
 
@@ -68,6 +76,7 @@ class Unknown:
         self.gain = leaf(np.log(state.gain))
         self.received = torch.from_numpy(state.received)
         self.told_metallic, self.told_roughness = state.told_metallic, state.told_roughness
+        self.told_tint, self.balanced = state.told_tint, balanced
 
     def groups(self, rate: float) -> list[dict[str, Any]]:
         fast, slow = [self.rough, self.metal], [self.light, self.tint, self.gain]
@@ -78,6 +87,18 @@ class Unknown:
         if self.known is None:
             return self.light
         return torch.where(torch.from_numpy(self.known)[:, None], self._fixed, self.light)
+
+    def beyond(self) -> Tensor:
+        """(H * 2H, 3) the light that is asked for; 0 where it is known."""
+        if self.known is None:
+            return self.light.exp()
+        return torch.where(torch.from_numpy(self.known)[:, None], 0, self.light.exp())
+
+    def _cast(self, height: int) -> Tensor:
+        """How far the light that is asked for is from white, in logarithms, squared."""
+        size = torch.from_numpy(solid_angles(height).reshape(-1, 1).astype(np.float32))
+        mean = (size * self.beyond()).sum(0).clamp(min=1e-6).log()
+        return ((mean - mean.mean()) ** 2).sum()
 
     def materials(self) -> Tensor:
         """(V, 11): roughness, metallic, gain 3, tint 3, received 3."""
@@ -101,11 +122,16 @@ class Unknown:
         total = total + 2e-4 * (
             (sky - sky.roll(1, 1)).abs().mean() + (sky[1:] - sky[:-1]).abs().mean()
         )
+        if self.balanced:
+            total = total + _WHITE * self._cast(height)
         rough = SMOOTHEST + (1 - SMOOTHEST) * torch.sigmoid(self.rough)
         metal = torch.sigmoid(self.metal)
         for found, told in ((metal, self.told_metallic), (rough, self.told_roughness)):
             if told is not None:
                 total = total + _TOLD * ((found[:, 0] - torch.from_numpy(told)) ** 2).mean()
+        if self.told_tint is not None:
+            apart = torch.sigmoid(self.tint) - torch.from_numpy(self.told_tint)
+            total = total + _TOLD * (apart**2).mean()
         return total
 
     def state(self) -> State:
@@ -121,6 +147,7 @@ class Unknown:
                 self.received.numpy(),
                 self.told_metallic,
                 self.told_roughness,
+                self.told_tint,
                 self.known,
             )
 
@@ -149,7 +176,9 @@ class Batch:
         corners: Any,
         looks: Sequence[Any],
         rows: Ints,
+        *,
         flash: Flash | None = None,
+        below: F32 | None = None,
     ) -> "Batch":
         """Some rows of the samples, as the field shows them.
 
@@ -158,6 +187,7 @@ class Batch:
             corners: sparse (N, V), from vertices to samples; looks: one matrix (N, texels) for
                 every level of the light.
             flash: of samples with a `glint`.
+            below: (N, K, 3) of `Surroundings.levels`; None where the ground's light is not known.
         """
 
         def tensor(values: NDArray[Any]) -> Tensor:
@@ -173,7 +203,7 @@ class Batch:
             tensor(samples.footprint[rows, None]),
             _encoded(tensor((samples.radiance if samples.glint is None else samples.photo)[rows])),
             *_under(flash, None if samples.glint is None else tensor(samples.glint[rows])),
-            None if samples.ground is None else tensor(samples.ground[rows]),
+            None if below is None else tensor(below[rows]),
         )
 
     def showing(self, radiance: F32) -> "Batch":
@@ -185,15 +215,15 @@ class Batch:
         there = _Apply.apply(unknown.materials(), self.corners)  # type: ignore[no-untyped-call]
         rough, metal, gain = there[:, 0:1], there[:, 1:2], there[:, 2:5]
         tint, received = there[:, 5:8], there[:, 8:11]
-        levels = _Blurred.apply(unknown.logs().exp(), blurring)  # type: ignore[no-untyped-call]
+        levels = _Blurred.apply(unknown.beyond(), blurring)  # type: ignore[no-untyped-call]
         far = torch.zeros_like(tint)
         seen = seen_roughness(rough, self.footprint)
         weights = level_weights(seen)
-        for weight, look, level in zip(weights, self.looks, levels, strict=True):
-            far = far + weight * _Apply.apply(level, look)  # type: ignore[no-untyped-call]
-        if self.below is not None:
-            met = (torch.cat(weights, 1)[..., None] * self.below).sum(1)
-            far = met[:, :3] + (1 - met[:, 3:]) * far
+        for i, (weight, look, level) in enumerate(zip(weights, self.looks, levels, strict=True)):
+            met = _Apply.apply(level, look)  # type: ignore[no-untyped-call]
+            if self.below is not None:
+                met = met + self.below[:, i]
+            far = far + weight * met
         painted = (self.diffuse * gain / received).clamp(max=1)
         base = painted * (1 - metal) + tint * metal
         scale, offset = reflection_line(rough, self.cosine)

@@ -12,9 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from refdgs_pipe.ground_light import at_roughness
 from refdgs_pipe.irradiance import spread
 from refdgs_pipe.light import DIELECTRIC, Environment, reflected_share, reflection_line
 from refdgs_pipe.texture.evening import evened
+from refdgs_pipe.texture.metal_tint import Mirrored, even_tint
 from refdgs_pipe.texture.sampling import Samples, seen_roughness
 
 F32 = NDArray[np.float32]
@@ -27,7 +29,6 @@ _TYPICAL = 0.25  # roughness at which seen and known light are compared
 _MOSTLY = 0.5  # share of the ground in what a sample mirrors, from which the sample counts
 _ENOUGH = 0.5  # such samples at a vertex
 _PLAIN = 0.004  # linear: ground that varies less tells nothing of how alike both vary
-_UNLIT = 0.01  # linear: ground darker than this does not tell a metal's colour
 _INEXACT = 1.3  # factor: the mirrored place is known roughly, so both vary less alike than they are
 _RATHER = 0.5  # weight of that estimate against the other, where only the ground is mirrored
 _UNSURE = 1.5  # factor of the largest possible reflectance under far light, whose unit is unknown
@@ -54,12 +55,15 @@ class ViewVariation:
         corners: sparse (N, V), from vertices to samples.
         near: (N, 3) radiance that mirrored rays meet on the mesh.
         links: (E, 2) neighbouring vertices.
+        below: (N, K, 3) of `Surroundings.levels`; None where the ground's light is not known. With
+            it, the light that is asked about is that of the rest.
     """
 
     samples: Samples
     corners: Any
     near: F32
     links: Ints
+    below: F32 | None = None
 
     def reflectance(self, light: Environment, roughness: F32) -> F32:
         """(V,) the reflectance with which a vertex's reflections vary as they are seen to do.
@@ -94,22 +98,31 @@ class ViewVariation:
         found = evened(np.minimum(found, most), evidence, sent, self.links, _EVEN)
         return np.asarray(np.minimum(found, most), np.float32)
 
-    def tint(self, light: Environment, roughness: F32) -> tuple[F32, F32]:
-        """(V, 3) the share of the ground's light that a metal reflects; (V, 1) how far it is told.
+    def tint(
+        self, rest: Environment, roughness: F32, metal: NDArray[np.bool_]
+    ) -> tuple[float, F32]:
+        """`even_tint` of the mesh; the ground's light must be known.
 
         Args:
-            roughness: (V,) as far as it is known.
+            rest: light without that of the ground.
+            roughness: (V,) as far as it is known; metal: (V,).
         """
-        around = self._around(self._meets_ground(), _WIDELY)
-        rough = np.asarray(self.corners @ roughness, np.float32)
-        mirrored = self._mirrored(light, rough)
-        cosine = np.clip(self.samples.cosine, 0.02, 1)[:, None]
-        scale, offset = reflection_line(rough[:, None], cosine)
-        beyond = np.asarray(self.samples.photo - offset * mirrored, np.float32)
-        sent, had = (around.mean(v) for v in (beyond, np.asarray(scale * mirrored, np.float32)))
-        told = np.clip(around.count() / _ENOUGH, 0, 1) * (had.mean(1) > _UNLIT)
-        found = np.clip(sent / np.maximum(had, 1e-4), 0.02, 0.98)
-        return np.asarray(found, np.float32), np.asarray(told, np.float32)[:, None]
+        samples = self.samples
+        assert self.below is not None and samples.ground is not None
+        of_metal = np.asarray(self.corners @ metal.astype(np.float32)) > 0.5
+        rows = np.flatnonzero((samples.near_face < 0) & of_metal)
+        rough = np.asarray(self.corners[rows] @ roughness, np.float32)
+        seen = np.asarray(seen_roughness(rough, samples.footprint[rows]), np.float32)
+        mirrored = Mirrored(
+            samples.photo[rows],
+            at_roughness(self.below[rows], seen),
+            rest.mirrored(samples.mirrored[rows], seen),
+            at_roughness(samples.ground[rows], seen)[:, 3:],
+            *reflection_line(rough[:, None], np.clip(samples.cosine[rows, None], 0.02, 1)),
+            self.corners[rows],
+        )
+        wide = self._around(np.ones(len(samples.face), np.bool_), _SMOOTHING)
+        return even_tint(mirrored, metal, wide.mean(samples.photo), self.links)
 
     def _like_ground(self, light: Environment) -> tuple[F32, NDArray[np.bool_]]:
         """(V,) the reflectance with which a vertex mirrors the ground, and (V,) where it is told.
@@ -184,8 +197,9 @@ class ViewVariation:
 
     def _mirrored(self, light: Environment, rough: F32) -> F32:
         seen = seen_roughness(rough, self.samples.footprint)
-        below = self.samples.of_ground(seen)
-        far = below[:, :3] + (1 - below[:, 3:]) * light.mirrored(self.samples.mirrored, seen)
+        far = light.mirrored(self.samples.mirrored, seen)
+        if self.below is not None:
+            far = far + at_roughness(self.below, seen)
         return np.where(self.samples.near_face[:, None] < 0, far, self.near)
 
     def _around(self, counted: NDArray[np.bool_], rounds: int) -> "_Around":

@@ -20,7 +20,15 @@ from refdgs_pipe.masking.colours import with_colour
 from refdgs_pipe.masking.cut import cut
 from refdgs_pipe.masking.files import distorted, write_masks
 from refdgs_pipe.masking.rounds import agreement, object_masks
-from refdgs_pipe.masking.solid import agreed, covering, grid, low, silhouette, standing
+from refdgs_pipe.masking.solid import (
+    agreed,
+    covering,
+    grid,
+    low,
+    silhouette,
+    standing,
+    without_bites,
+)
 
 BALL = Ball(np.array([0.0, 0.0, 0.45]), 1.0)
 UP = np.array([0.0, 0.0, 1.0])
@@ -267,6 +275,41 @@ def test_a_foot_that_one_photo_of_many_denies_comes_back(denying: int) -> None:
         return
     assert back[foot].mean() > 0.9
     assert not (back & ~whole)[height > 0.06].any() and not back[shoulder].any()
+
+
+@pytest.mark.parametrize("proven", [False, True])
+def test_a_bite_of_the_foot_comes_back_unless_its_ground_is_proven(proven: bool) -> None:
+    """Photos of one side take the foot for the ground; no other photo proves that ground."""
+    cells = grid(BALL, UP, 0.0, 96)
+    shots, truth = ring_of_shots(24)
+    free = [cv2.dilate(t.astype(np.uint8), np.ones((3, 3))) > 0 for t in truth]
+    known = [np.ones_like(t) for t in truth]
+    whole = agreed(cells, shots, free, known, UP, deny=0.0)
+    side = np.arctan2(cells.points[:, 1], cells.points[:, 0])
+    height = cells.points[:, 2]
+    outer = np.hypot(cells.points[:, 0], cells.points[:, 1]) > 0.2
+    bite = whole & outer & (height > 0.05) & (height < 0.15) & (np.abs(side) < 0.2)
+    assert bite.sum() > 10
+    denying = [i for i, shot in enumerate(shots) if shot.camera.center[0] > 2]
+    for i in denying:
+        free[i] &= ~silhouette(cells, bite, shots[i])
+    sure = [np.full_like(t, proven) for t in truth]
+    back = without_bites(cells, whole & ~bite, shots, free, known, sure, (UP, 0.0), deny=0.06)
+    added = back & ~(whole & ~bite)
+    assert not (added & ~whole)[height > 0.06].any()
+    assert added[bite].mean() == 0 if proven else added[bite].mean() > 0.5
+
+
+def test_ground_below_a_body_that_hangs_all_round_is_no_bite() -> None:
+    cells = grid(BALL, UP, 0.0, 64)
+    shots, truth = ring_of_shots(24)
+    free = [cv2.dilate(t.astype(np.uint8), np.ones((3, 3))) > 0 for t in truth]
+    known = [np.ones_like(t) for t in truth]
+    whole = agreed(cells, shots, free, known, UP, deny=0.0)
+    hanging = whole & (cells.points[:, 2] > 0.1)
+    sure = [np.zeros_like(t) for t in truth]
+    back = without_bites(cells, hanging, shots, free, known, sure, (UP, 0.0), deny=0.06)
+    assert (back == hanging).all()
 
 
 def test_masks_are_written_as_the_lens_drew_the_photo(

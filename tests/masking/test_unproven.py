@@ -18,7 +18,9 @@ HUNG: Box = ((-0.3, -0.3, 0.5), (0.3, 0.3, 0.7), WHITE)
 
 
 def found(seen: F32) -> Bools:
-    return unproven(np.median(seen, axis=0), seen, GROUND, cameras(), 1.0)
+    colour = np.asarray(np.median(seen, axis=0))
+    towards = shown_from(colour, seen, GROUND, cameras())
+    return unproven(colour, seen, GROUND, cameras(), 1.0, towards)
 
 
 def inside() -> Bools:
@@ -50,7 +52,7 @@ def test_a_place_whose_texture_some_photos_show_is_no_foot(monkeypatch: pytest.M
 def test_texture_at_the_edge_of_a_part_does_not_speak_against_a_foot() -> None:
     seen = shown([GREY, HEAD])
     colour = np.asarray(np.median(seen, axis=0))
-    part = unproven(colour, seen, GROUND, cameras(), 1.0)
+    part = found(seen)
     core = cv2.distanceTransform(part.astype(np.uint8), cv2.DIST_L2, 5) > LEAK
     assert (_misleading(part, colour, seen, part & ~core) == part).all()
     assert not _misleading(part, colour, seen, part).any()
