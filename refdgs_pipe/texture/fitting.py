@@ -314,7 +314,7 @@ class _Problem:
     def _unexplained(self, state: State) -> tuple[F32, F32]:
         """(V,) squared sRGB differences around each vertex, from the fit and from its mean."""
         missed, colours = np.zeros((len(self.far), 1)), np.zeros((len(self.far), 3))
-        unknown = Unknown(state, balanced=not self.mean.white)
+        unknown = Unknown(state, balanced=self.below is not None)
         with torch.no_grad():
             for rows, batch in zip(self.rows, self.batches, strict=True):
                 colours[rows] = batch.target
@@ -353,7 +353,7 @@ class _Problem:
         self, state: State, epochs: int, rate: float, progress: Callable[[int], None]
     ) -> State:
         """Adam on all unknowns, batch by batch."""
-        unknown = Unknown(state, balanced=not self.mean.white)
+        unknown = Unknown(state, balanced=self.below is not None)
         optimizer = torch.optim.Adam(unknown.groups(rate))
         links = torch.from_numpy(self.links)
         for epoch in range(epochs):

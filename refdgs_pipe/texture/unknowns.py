@@ -61,7 +61,7 @@ class Unknown:
     """The unknowns while they change: unbounded, on torch's tape.
 
     Args:
-        balanced: whether the light is about white, because cameras balance photos so.
+        balanced: whether the light is held near white, because cameras balance photos so.
     """
 
     def __init__(self, state: State, *, balanced: bool) -> None:
