@@ -19,6 +19,7 @@ from refdgs_pipe.artifacts.textured_mesh import TexturedMesh
 from refdgs_pipe.asset_textures import AssetTextures, Shaded, material_of
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.color import srgb_from_linear
+from refdgs_pipe.far_light import FarLight, ground_seen
 from refdgs_pipe.ground_light import GroundLight
 from refdgs_pipe.irradiance import Sky, look_around
 from refdgs_pipe.lamp import Lamp
@@ -30,7 +31,6 @@ from refdgs_pipe.light import (
     reflected_share,
 )
 from refdgs_pipe.ray_casting import Hits, Solid, at_hits, half_vectors
-from refdgs_pipe.surroundings import Surroundings, ground_seen
 from refdgs_pipe.vectors import unit
 
 F32 = NDArray[np.float32]
@@ -91,10 +91,10 @@ class Relit:
         self.mesh, self.tangents = textured.mesh, textured.tangents
         self.solid = Solid(self.mesh.vertices, self.mesh.faces)
         self.light: Light = Environment(environment)
-        self._beside: Surroundings | None = None
+        self._beside: FarLight | None = None
         if ground is not None:
             _, known = ground_seen(ground, self.mesh.vertices, len(environment))
-            self._beside = Surroundings(environment.reshape(-1, 3), known)
+            self._beside = FarLight(environment.reshape(-1, 3), known)
         self._textures = AssetTextures(
             textured.base_color, textured.roughness, textured.metallic, textured.normal
         )

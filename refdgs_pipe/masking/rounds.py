@@ -207,7 +207,7 @@ class _Worker:
         evidence = self._evidence(found)
         values, known = self._with_colours(evidence, found), [e.known for e in evidence]
         outlines, proven = self._parts_of(found.outlines), self._proven()
-        solid = bitten = self.cells.inside
+        solid = bites = self.cells.inside
         for deny in self.level.denials:
             masks = self._near_outlines(values, outlines)
             free = self._free(masks)
@@ -215,15 +215,15 @@ class _Worker:
             if solid.sum() < LEAST_CELLS:
                 return None
             solid = self._covering(solid, free, known, values)
-            bitten = solid
+            whole = solid
             if proven is not None:
                 told = (self.cells, solid, self.shots, free, known, proven)
-                solid = without_bites(*told, self.plane, deny=deny)
-            bitten = solid & ~bitten
-            solid = standing(self.cells, solid, self.shots, free, known, self.plane)
+                whole = without_bites(*told, self.plane, deny=deny)
+            bites = whole & ~solid
+            solid = standing(self.cells, whole, self.shots, free, known, self.plane)
             outlines = self._silhouettes(solid)
             self.band = [max(2, round(band / 2)) for band in self.band]
-        foot = solid & (low(self.cells, *self.plane) | bitten)
+        foot = solid & (low(self.cells, *self.plane) | bites)
         values = self._with_contact(values, foot, outlines)
         masks = self._near_outlines(values, outlines)
         return self._placed(masks, outlines, solid, found.room)

@@ -27,8 +27,8 @@ FEWEST, OFTEN = 3, 0.1
 LOW = 0.06  # of the ball's radius: what lies lower is at the contact with the plane
 BARELY = 0.09  # share of the photos that can tell, which may deny a cell at the contact
 FOOT = 0.17  # of the ball's radius: as high up, mirrored ground may have taken a bite of the foot
-BITE = 0.4  # of the ball's radius: so wide are the gaps in the foot that may be bites
-HEARD = 0.75  # of the photos that can tell of a cell: that many must do so without unproven ground
+BITE = 0.4  # of the ball's radius: wider gaps in the foot are no bites
+HEARD = 0.75  # share of the votes on a cell that must remain without those for unproven ground
 SHADOW_CELLS = 256  # along an edge of the plane, on which shadows are drawn
 PIECE = 0.03  # of the largest piece's cells: smaller ones go
 

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from refdgs_pipe.artifacts.appearance import Appearance
 from refdgs_pipe.artifacts.mesh import TriangleMesh
+from refdgs_pipe.far_light import FarLight, ground_seen
 from refdgs_pipe.ground_light import GroundLight, at_roughness
 from refdgs_pipe.irradiance import Sky, links_of, look_around, spread
 from refdgs_pipe.light import Environment, blur, solid_angles
-from refdgs_pipe.surroundings import Surroundings, ground_seen
 from refdgs_pipe.texture.false_metal import false_metal
 from refdgs_pipe.texture.matrices import corner_matrix, look_matrix
 from refdgs_pipe.texture.mean_light import MeanLight
@@ -39,6 +39,7 @@ _OPEN = 0.6  # what sees less of the sky says little about how bright it is
 # Reflectances between which plastic turns into metal: while the light may still be too bright,
 # and with the light that explains what was first told.
 _FIRST, _AGAIN = (0.12, 0.24), (0.2, 0.4)
+_WITH_GROUND = (0.15, 0.3)  # the same again, where a known ground tells how bright the light is
 _BATCH = 50_000
 
 
@@ -95,10 +96,11 @@ def _fitted(
 ) -> Appearance:
     total, done = sum(plan.epochs), 0
     state = problem.start(metal=metal)
+    again = _AGAIN if problem.below is None else _WITH_GROUND
     telling: list[Callable[[State], State]] = [
         _kept,
         lambda state: problem.tell_metal(state, _FIRST),
-        lambda state: problem.shown_by_photos(problem.tell_metal(state, _AGAIN)),
+        lambda state: problem.shown_by_photos(problem.tell_metal(state, again)),
         lambda state: problem.tell_roughness(
             problem.shown_by_photos(problem.without_false_metal(state))
         ),
@@ -163,7 +165,7 @@ class _Problem:
         self.told, self.known = ground_seen(ground, mesh.vertices, self.height)
         self.below: F32 | None = None
         if samples.ground is not None:
-            beside = Surroundings(self.told, self.known)
+            beside = FarLight(self.told, self.known)
             self.below = beside.levels(samples.ground, samples.mirrored)
         self.blur = blur(self.height)
         self.links = links_of(mesh.faces)

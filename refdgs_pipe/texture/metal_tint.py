@@ -21,13 +21,13 @@ Bools = NDArray[np.bool_]
 _UNITS = np.exp2(np.linspace(-1.5, 1.5, 13))
 _KEPT = 0.05  # how much a unit far from 1 counts against itself, for each squared logarithm
 _SILVER = 0.95  # no metal reflects much more than polished silver
-_OVER = 20.0  # how much more counts against a unit, for each squared logarithm
+_OVER = 20.0  # how much a tint above that counts against a unit, for each squared logarithm
 _REACH, _EXACT = 0.3, 1e-5  # of `evened`
 _LEAST_EVIDENCE = 1e-6  # of what no view shows, beside the mean
 _DIM, _DARKEST = 0.15, 1e-4  # linear: what is darker counts less; the least that has a logarithm
-# Rays that go to the ground, but get this share of their light from the edge of the lobe that sees
-# the rest, count half: how wide the lobe is is not known well. On brown wood much of the blue light
-# comes so.
+# A ray to the ground counts half if the edge of its lobe gives it this share of its light, because
+# the width of the lobe is not known well. On brown wood about half of the blue light comes from
+# there.
 _TAIL = 0.15
 _LEAST, _MOST = 0.02, 0.98
 
@@ -74,7 +74,7 @@ class Mirrored:
 def even_tint(mirrored: Mirrored, metal: Bools, colors: F32, links: Ints) -> tuple[float, F32]:
     """The unit of the far light, and (V, 3) the tint of metals, even between like neighbours.
 
-    Without metal: 1 and nothing that counts.
+    Without metal the unit is 1, and the tint means nothing.
 
     Args:
         metal: (V,) which vertices are of metal.

@@ -187,7 +187,7 @@ class Batch:
             corners: sparse (N, V), from vertices to samples; looks: one matrix (N, texels) for
                 every level of the light.
             flash: of samples with a `glint`.
-            below: (N, K, 3) of `Surroundings.levels`; None where the ground's light is not known.
+            below: (N, K, 3) of `FarLight.levels`; None where the ground's light is not known.
         """
 
         def tensor(values: NDArray[Any]) -> Tensor:

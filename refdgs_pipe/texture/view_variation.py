@@ -55,7 +55,7 @@ class ViewVariation:
         corners: sparse (N, V), from vertices to samples.
         near: (N, 3) radiance that mirrored rays meet on the mesh.
         links: (E, 2) neighbouring vertices.
-        below: (N, K, 3) of `Surroundings.levels`; None where the ground's light is not known. With
+        below: (N, K, 3) of `FarLight.levels`; None where the ground's light is not known. With
             it, the light that is asked about is that of the rest.
     """
 

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from scenes import orbit
 
 from refdgs_pipe.artifacts.photos import Photo
@@ -49,6 +50,16 @@ def test_the_boards_light_is_found_beside_the_object() -> None:
     color = found.picture[..., :3][known]
     assert np.abs(color - board()[known]).mean() < 0.01
     assert color.min() > 0.02  # the ball is black
+
+
+def test_what_the_object_hides_is_filled_from_around_it() -> None:
+    found = ground_radiance(photos(), BALL, PLANE)
+    assert found is not None
+    middle = CELLS // 2
+    color, share = found.picture[middle, middle, :3], found.picture[middle, middle, 3]
+    assert share == pytest.approx(1)
+    assert np.abs(color / board()[middle, middle] - 1).max() < 0.15
+    assert found.picture[0, 0, 3] == 0  # beyond what photos show nothing is filled
 
 
 def test_what_photos_do_not_agree_on_is_not_told() -> None:

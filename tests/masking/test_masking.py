@@ -21,6 +21,7 @@ from refdgs_pipe.masking.cut import cut
 from refdgs_pipe.masking.files import distorted, write_masks
 from refdgs_pipe.masking.rounds import agreement, object_masks
 from refdgs_pipe.masking.solid import (
+    Cells,
     agreed,
     covering,
     grid,
@@ -255,13 +256,20 @@ def test_what_two_photos_ask_for_comes_back_although_one_photo_asks_for_too_much
     assert (covering(cells, solid, shots, free, known, sure, turns=True) == solid).all()
 
 
-@pytest.mark.parametrize("denying", [1, 4])
-def test_a_foot_that_one_photo_of_many_denies_comes_back(denying: int) -> None:
-    cells = grid(BALL, UP, 0.0, 64)
+def many_photos(
+    cells: Cells, deny: float
+) -> tuple[list[Shot], list[np.ndarray], list[np.ndarray], np.ndarray]:
+    """24 photos of the ball: shots, where they may show it, where they can tell; and its cells."""
     shots, truth = ring_of_shots(24)
     free = [cv2.dilate(t.astype(np.uint8), np.ones((3, 3))) > 0 for t in truth]
     known = [np.ones_like(t) for t in truth]
-    whole = agreed(cells, shots, free, known, UP, deny=0.0)
+    return shots, free, known, agreed(cells, shots, free, known, UP, deny=deny)
+
+
+@pytest.mark.parametrize("denying", [1, 4])
+def test_a_foot_that_one_photo_of_many_denies_comes_back(denying: int) -> None:
+    cells = grid(BALL, UP, 0.0, 64)
+    shots, free, known, whole = many_photos(cells, 0.0)
     height = cells.points[:, 2]
     foot = whole & (height < 0.03)
     assert (foot <= low(cells, UP, 0.0)).all()
@@ -281,10 +289,7 @@ def test_a_foot_that_one_photo_of_many_denies_comes_back(denying: int) -> None:
 def test_a_bite_of_the_foot_comes_back_unless_its_ground_is_proven(proven: bool) -> None:
     """Photos of one side take the foot for the ground; no other photo proves that ground."""
     cells = grid(BALL, UP, 0.0, 96)
-    shots, truth = ring_of_shots(24)
-    free = [cv2.dilate(t.astype(np.uint8), np.ones((3, 3))) > 0 for t in truth]
-    known = [np.ones_like(t) for t in truth]
-    whole = agreed(cells, shots, free, known, UP, deny=0.06)
+    shots, free, known, whole = many_photos(cells, 0.06)
     side = np.arctan2(cells.points[:, 1], cells.points[:, 0])
     height = cells.points[:, 2]
     outer = np.hypot(cells.points[:, 0], cells.points[:, 1]) > 0.2
@@ -293,7 +298,7 @@ def test_a_bite_of_the_foot_comes_back_unless_its_ground_is_proven(proven: bool)
     denying = [i for i, shot in enumerate(shots) if shot.camera.center[0] > 2]
     for i in denying:
         free[i] &= ~silhouette(cells, bite, shots[i])
-    sure = [np.full_like(t, proven) for t in truth]
+    sure = [np.full_like(k, proven) for k in known]
     back = without_bites(cells, whole & ~bite, shots, free, known, sure, (UP, 0.0), deny=0.06)
     added = back & ~(whole & ~bite)
     assert (added & ~whole).sum() < 0.1 * bite.sum()
@@ -302,12 +307,9 @@ def test_a_bite_of_the_foot_comes_back_unless_its_ground_is_proven(proven: bool)
 
 def test_ground_below_a_body_that_hangs_all_round_is_no_bite() -> None:
     cells = grid(BALL, UP, 0.0, 64)
-    shots, truth = ring_of_shots(24)
-    free = [cv2.dilate(t.astype(np.uint8), np.ones((3, 3))) > 0 for t in truth]
-    known = [np.ones_like(t) for t in truth]
-    whole = agreed(cells, shots, free, known, UP, deny=0.0)
+    shots, free, known, whole = many_photos(cells, 0.0)
     hanging = whole & (cells.points[:, 2] > 0.1)
-    sure = [np.zeros_like(t) for t in truth]
+    sure = [np.zeros_like(k) for k in known]
     back = without_bites(cells, hanging, shots, free, known, sure, (UP, 0.0), deny=0.06)
     assert (back == hanging).all()
 

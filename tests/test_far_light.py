@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from refdgs_pipe.far_light import FarLight, ground_seen
 from refdgs_pipe.ground_light import GroundLight
 from refdgs_pipe.light import Environment, texel_directions
-from refdgs_pipe.surroundings import Surroundings, ground_seen
 
 HEIGHT = 32
 BROWN, SKY = np.array([0.2, 0.09, 0.03], np.float32), np.array([0.7, 0.7, 0.7], np.float32)
@@ -20,11 +20,11 @@ def wide() -> GroundLight:
     return GroundLight(picture, np.zeros(3), A, B, 500.0)
 
 
-def parts() -> tuple[GroundLight, Surroundings, np.ndarray]:
+def parts() -> tuple[GroundLight, FarLight, np.ndarray]:
     ground = wide()
     told, known = ground_seen(ground, BALL, HEIGHT)
     light = np.where(known[:, None], told, SKY).astype(np.float32)
-    return ground, Surroundings(light, known), light
+    return ground, FarLight(light, known), light
 
 
 def ways(fall: float) -> np.ndarray:

@@ -1,9 +1,8 @@
-"""What a surface mirrors beside the object: light from far away and that of the near ground.
+"""What a surface mirrors beside the object: light from far away, and the light of the near ground.
 
-The far picture holds the ground too, as the middle of the object sees it. Another place mirrors
-another part of the ground. So the lobe of a mirrored ray is taken apart: the ground counts as the
-place sees it, and the far picture without the ground for the rest. If the rest counted with the
-ground in it, the ground would count twice. Below a rough surface that is most of the rest.
+The far picture shows the ground too, as the middle of the object sees it. Other places mirror other
+parts of the ground. So the far picture is split into the ground and the rest. A place mirrors the
+ground that it sees itself, and the rest of the far picture. Otherwise the ground would count twice.
 """
 
 import numpy as np
@@ -35,8 +34,8 @@ def ground_seen(ground: GroundLight | None, vertices: F32, height: int) -> tuple
     return np.asarray(told, np.float32), share > 0.5
 
 
-class Surroundings:
-    """A far picture, taken apart into the ground and the rest.
+class FarLight:
+    """A far picture, split into the ground and the rest.
 
     Args:
         light: (H * 2H, 3) linear radiance; its texels that show the ground hold the ground's.
