@@ -30,6 +30,7 @@ from refdgs_pipe.masking.levels import LAST, LEVELS, Level
 from refdgs_pipe.masking.odds import calibrated
 from refdgs_pipe.masking.solid import (
     agreed,
+    ball_of,
     covering,
     grid,
     low,
@@ -207,8 +208,11 @@ class _Worker:
         evidence = self._evidence(found)
         values, known = self._with_colours(evidence, found), [e.known for e in evidence]
         outlines, proven = self._parts_of(found.outlines), self._proven()
-        solid = bites = self.cells.inside
+        solid = bites = np.zeros(0, bool)
         for deny in self.level.denials:
+            if len(solid):  # cells as small as what is left allows
+                within = ball_of(self.cells.points[solid], self.cells.size)
+                self.cells = grid(within, *self.plane, self.level.solid)
             masks = self._near_outlines(values, outlines)
             free = self._free(masks)
             solid = agreed(self.cells, self.shots, free, known, self.normal, deny=deny)
@@ -360,7 +364,7 @@ class _Worker:
             [shot.placed(line) > 0.5 for shot, line in zip(self.shots, lines, strict=True)],
             room,
             self._reach(points),
-            _ball_of(points, self.cells.size),
+            ball_of(points, self.cells.size),
             self._shadows(solid),
         )
 
@@ -384,13 +388,6 @@ def _cut(shot: Shot, outline: Bools, margin: float) -> Shot:
     """The part of a photo round the solid."""
     box = box_around(resized(outline.astype(np.float32), *shot.whole) > 0.5, margin)
     return shot if box is None else cut_to(shot, box)
-
-
-def _ball_of(points: F64, cell: float) -> Ball:
-    """A ball round points, a tenth and two cells larger than it has to be."""
-    center = (points.min(0) + points.max(0)) / 2
-    reach = float(np.linalg.norm(points - center, axis=1).max())
-    return Ball(center, 1.1 * reach + 2 * cell)
 
 
 def _signed_distance(mask: Bools) -> F32:

@@ -59,6 +59,13 @@ def grid(ball: Ball, normal: F64, offset: float, n: int) -> Cells:
     return Cells(n, points, near & (points @ normal - offset > -0.5 * size), size)
 
 
+def ball_of(points: F64, cell: float) -> Ball:
+    """A ball round points, a tenth and two cells larger than it has to be."""
+    center = (points.min(0) + points.max(0)) / 2
+    reach = float(np.linalg.norm(points - center, axis=1).max())
+    return Ball(center, 1.1 * reach + 2 * cell)
+
+
 def agreed(
     cells: Cells,
     shots: list[Shot],
