@@ -44,6 +44,7 @@ class Samples:
         roughness: (N,) as the field has it.
         footprint: (N,) the square of the GGX alpha that the normals within a pixel of the photo
             make up, see `seen_roughness`.
+        view: (N,) the number of the view.
         glint: (N, 4) of a lamp on the camera: cosines between normal and half vector, normal and
             lamp, lamp and half vector, and the squared inverse distance; None without one. Then
             `specular` is without the lamp's highlight and `photo` is the field's, with it.
@@ -62,6 +63,7 @@ class Samples:
     photo: F32
     roughness: F32
     footprint: F32
+    view: Ints
     glint: F32 | None = None
     ground: F32 | None = None
 
@@ -170,8 +172,7 @@ class Sampler:
         rows = pixels[hits.rays]
         near = np.abs(hits.distance - view.depth.reshape(-1)[rows]) < self.tolerance
         toward = -rays[hits.rays] / np.linalg.norm(rays[hits.rays], axis=1, keepdims=True)
-        normal = view.normal.reshape(-1, 3)[rows]
-        cosine = (normal * toward).sum(1)
+        cosine = ((normal := view.normal.reshape(-1, 3)[rows]) * toward).sum(1)
         good = np.flatnonzero(near & (cosine > _MIN_COSINE))[: self.per_view]
         if not len(good):
             return 0
@@ -198,6 +199,7 @@ class Sampler:
                 np.clip(seen, 0, 1).astype(np.float32),
                 view.roughness.reshape(-1)[rows],
                 bent.astype(np.float32),
+                np.full(len(rows), len(self._parts)),
                 glint,
                 self._below(points, mirrored, near_face),
             )

@@ -69,9 +69,10 @@ class ViewVariation:
         """(V,) the reflectance with which a vertex's reflections vary as they are seen to do.
 
         Compared as photos show them, clipped at white: what is brighter varies without limit in the
-        light that was found, but not in what was seen. If the ground's light is known, it also
-        counts how far both vary alike where a vertex mirrors it; no place sends more than its
-        reflectance times its light; and neighbours that look alike get like values.
+        light that was found, but not in what was seen. If the ground's light is known, photos are
+        asked as well; it counts how far both vary alike where a vertex mirrors the ground; no place
+        sends more than its reflectance times its light; and neighbours that look alike get like
+        values.
 
         Args:
             roughness: (V,) as far as it is known.
@@ -79,7 +80,10 @@ class ViewVariation:
         samples = self.samples
         mirrored = self._mirrored(light, np.asarray(self.corners @ roughness, np.float32))
         around = self._around(np.ones(len(mirrored), np.bool_), _SMOOTHING)
-        seen = np.maximum(around.deviation(np.clip(samples.specular, 0, 1)), 1e-5)
+        seen = around.deviation(np.clip(samples.specular, 0, 1))
+        if samples.ground is not None:
+            seen = np.maximum(seen, self._varied_in_photos(around))
+        seen = np.maximum(seen, 1e-5)
         excess = np.empty((len(_REFLECTANCES), len(seen)), np.float32)
         for i, value in enumerate(_REFLECTANCES):
             shown = around.deviation(np.clip(np.float32(value) * mirrored, 0, 1))
@@ -97,6 +101,17 @@ class ViewVariation:
         evidence = varied / (varied + np.float32(_LITTLE**2)) + np.float32(_LEAST_EVIDENCE)
         found = evened(np.minimum(found, most), evidence, sent, self.links, _EVEN)
         return np.asarray(np.minimum(found, most), np.float32)
+
+    def _varied_in_photos(self, around: "_Around") -> F32:
+        """(V,) how much what is mirrored varies at least, as photos show it.
+
+        The field paints the reflections of a small part on surfels behind its surface, as colours
+        that do not vary. The photos show that they do: in one view, neighbours are brighter
+        together. A fine print varies there as well, seen through a wrong mesh, but each place
+        differently.
+        """
+        shown = np.clip(self.samples.photo, 0, 1)
+        return np.sqrt(around.between(shown, self.samples.view))
 
     def tint(
         self, rest: Environment, roughness: F32, metal: NDArray[np.bool_]
@@ -237,6 +252,28 @@ class _Around:
         total = np.concatenate([self._summed(values), self._summed(_ONE)], 1)
         wide = self._widely(total)
         return np.asarray(wide[:, :-1] / np.maximum(wide[:, -1:], 1e-6), np.float32)
+
+    def between(self, values: F32, groups: Ints) -> F32:
+        """(V,) variance between groups of samples (N, C): of what each adds to a vertex's mean.
+
+        A group's samples are averaged over the neighbours first.
+
+        Args:
+            groups: (N,) the group of each sample.
+        """
+        weight = self._summed(_ONE)
+        mean = self._summed(values) / np.maximum(weight, 1e-6)
+        apart = values - self.corners @ mean
+        order = np.argsort(groups, kind="stable")
+        varied, share = np.zeros(len(mean)), np.zeros(len(mean))
+        for rows in np.split(order, np.flatnonzero(np.diff(groups[order])) + 1):
+            back, counted = self.corners[rows].T, self.counted[rows]
+            sums = np.concatenate([back @ (counted * apart[rows]), back @ counted], 1)
+            wide = self._widely(sums)
+            added = wide[:, :-1] / np.maximum(wide[:, -1:], 1e-6)
+            varied += wide[:, -1] * (added**2).mean(1)
+            share += wide[:, -1]
+        return np.asarray(varied / np.maximum(share, 1e-6), np.float32)
 
     def together(self, one: F32, other: F32) -> tuple[F32, F32, F32]:
         """(V,) covariance and the two variances of values (N, C) over the samples at one vertex.

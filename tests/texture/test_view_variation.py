@@ -53,6 +53,7 @@ def variation(roughness: float, f0: float, footprint: float = 0.0) -> ViewVariat
         np.clip(0.3 + mirrored * share, 0, 1),
         rough[:, 0],
         np.full(count, footprint, np.float32),
+        np.arange(count) % PER_FACE,
     )
     corners = corner_matrix(BALL, face, weights)
     return ViewVariation(samples, corners, np.zeros((count, 3), np.float32), links_of(BALL.faces))
@@ -126,6 +127,7 @@ def test_what_bends_within_a_pixel_looks_rougher() -> None:
     assert seen_roughness(np.float32(0.1), np.float32(0.0256)) == pytest.approx(0.4, abs=1e-3)
 
 
+LIT = Environment(windows())
 DARK = Environment(np.zeros_like(windows()))  # beside the ground nothing is mirrored
 
 
@@ -153,6 +155,14 @@ def over_brown_ground(f0: float, paint: float) -> ViewVariation:
     return replace(plain, samples=samples, below=samples.ground[..., :3])
 
 
+def windowed(plain: ViewVariation) -> ViewVariation:
+    """The same where the ground's light is known, but nothing mirrors it."""
+    nothing = np.zeros((len(plain.near), 5, 4), np.float32)
+    photo = np.clip(plain.samples.specular, 0, 1)
+    samples = replace(plain.samples, ground=nothing, photo=photo)
+    return replace(plain, samples=samples, below=nothing[..., :3])
+
+
 def test_a_metal_is_told_by_a_ground_that_varies_little() -> None:
     rough = np.full(len(BALL.vertices), 0.2, np.float32)
     told = over_brown_ground(0.65, 0.0).reflectance(DARK, rough)
@@ -163,6 +173,30 @@ def test_paint_of_the_same_brightness_is_no_metal() -> None:
     rough = np.full(len(BALL.vertices), 0.2, np.float32)
     told = over_brown_ground(0.04, 0.065).reflectance(DARK, rough)
     assert np.median(told) < 0.12
+
+
+def painted(seen: ViewVariation, photo: np.ndarray) -> ViewVariation:
+    """Photos that the field repeats as a colour, with hardly any reflection."""
+    specular = (0.01 * seen.samples.specular).astype(np.float32)
+    return replace(seen, samples=replace(seen.samples, specular=specular, photo=photo))
+
+
+def test_a_metal_whose_reflections_the_field_has_painted_is_told_by_photos() -> None:
+    """In each view, all of it mirrors one direction."""
+    rough = np.full(len(BALL.vertices), 0.2, np.float32)
+    metal = windowed(variation(0.2, 0.65))
+    photo = np.clip(metal.samples.specular, 0, 1)[metal.samples.view]
+    assert np.median(painted(metal, photo).reflectance(LIT, rough)) > 0.4
+
+
+def test_a_fine_print_that_photos_show_through_a_wrong_mesh_is_no_metal() -> None:
+    """Each view shows another place of it."""
+    rough = np.full(len(BALL.vertices), 0.2, np.float32)
+    matte = windowed(variation(0.2, 0.04))
+    random = np.random.default_rng(5)
+    photo = np.where(random.random((len(matte.near), 1)) < 0.5, 0.1, 0.8).astype(np.float32)
+    photo = np.repeat(photo, 3, axis=1)
+    assert np.median(painted(matte, photo).reflectance(LIT, rough)) < 0.2
 
 
 def test_nothing_reflects_more_than_is_seen() -> None:
