@@ -12,7 +12,7 @@ from refdgs_pipe.pipeline.stage import Job, stage
 from refdgs_pipe.training.settings import TrainParams
 
 
-@stage(version=17, by_device=True)
+@stage(version=18, by_device=True)
 def train(
     views: Views,
     masks: Masks,

@@ -14,8 +14,6 @@ from refdgs_pipe.artifacts.sparse_model import Ball
 from refdgs_pipe.artifacts.start import HOLLOW, SOLID, U8
 from refdgs_pipe.training.initial import hull_ticks
 
-FREE = 1.0  # cells from the solid, that discs may float
-
 
 class Hollow:
     """Where a vessel is empty, and the way back to its solid part.
@@ -28,9 +26,10 @@ class Hollow:
         ticks = hull_ticks(ball, len(vessel))
         self._cell = float(ticks[1] - ticks[0])
         self._low = torch.tensor(ball.center + ticks[0], dtype=torch.float32, device=device)
-        distance, nearest = distance_transform_edt(vessel != SOLID, return_indices=True)
-        back = nearest.transpose(1, 2, 3, 0) - np.indices(vessel.shape).transpose(1, 2, 3, 0)
-        back = back * (1 - FREE / np.maximum(distance, FREE))[..., None] * self._cell
+        nearest = distance_transform_edt(
+            vessel != SOLID, return_distances=False, return_indices=True
+        )
+        back = (nearest - np.indices(vessel.shape)).transpose(1, 2, 3, 0) * self._cell
         back[vessel != HOLLOW] = 0
         self._back = torch.from_numpy(back.astype(np.float32)).to(device)
 

@@ -102,7 +102,7 @@ def see_inside(
     through = float(((free >= FREE) & (free >= filled))[layer].mean())
     rather = float(free[layer].sum() / max(1, filled[layer].sum()))
     core = walls > CORE
-    above = under < _floor(under[core], free[core], filled[core])
+    above = under < _floor(under[core], free[core], filled[core]) + SAME
     gone = np.zeros_like(hull.cells)
     gone[tuple(asked[above].T)] = True
     vessel = replace(hull, cells=hull.cells & ~(gone & ~hull.on_ground(around)))

@@ -32,7 +32,8 @@ PLACE = 2  # cells along the side of a place
 VIEWS = 4  # photos that show a place, at least
 RAYS = 200  # that all solids explain, at least
 STRIDE = 0.5  # cells, along a ray
-TIE = 0.02  # of the closed solid's difference: of floors that close, the lowest is taken
+TIE = 0.02  # of the closed solid's difference: floors that close are told apart by nothing
+LOW = 1.1  # of the best vessel's differences: of floors that leave less, the lowest is taken
 OPENS = 0.8  # of the closed solid's difference, that a vessel leaves at most
 
 
@@ -99,22 +100,37 @@ def seen_below(
     rays, along = found
     under = (rim - hull.heights(up)) / hull.cell
     hollow = mouth.hollow & ~grounded
-    depths = np.arange(SHALLOW, under[hollow].max(initial=0) + STEP, STEP)
+    deepest = under[hollow].max(initial=0)
+    depths = np.arange(SHALLOW, deepest + STEP, STEP)
     lids = (hull.cells, hull.cells & ~plateau.bulge)
     closed_by = [_Explained.by(hull, cells, rays, along) for cells in lids]
-    tried = []
-    for number, depth in enumerate(depths):
-        if progress is not None:
-            progress(number, len(depths))
+
+    def tried(depth: float) -> Below | None:
         cells = hull.cells & ~(hollow & (under < depth))
         vessel = _Explained.by(hull, cells, rays, along)
         ratios = [ratio for lid in closed_by if (ratio := vessel.ratio_to(lid)) is not None]
-        if ratios:
-            tried.append(Below(max(ratios), float(depth), replace(hull, cells=cells)))
-    if not tried:
+        return Below(max(ratios), depth, replace(hull, cells=cells)) if ratios else None
+
+    told = []
+    for number, depth in enumerate(depths):
+        if progress is not None:
+            progress(number, len(depths))
+        if (below := tried(float(depth))) is not None:
+            told.append(below)
+    if not told:
         return None
-    best = min(one.ratio for one in tried)
-    return [one for one in tried if one.ratio <= best + TIE][-1]
+    best = min(below.ratio for below in told)
+    lowest = [below for below in told if below.ratio <= best + TIE][-1]
+    if not lowest.opens:
+        return lowest
+    most = min(max(best + TIE, best * LOW), OPENS)
+    lowest = [below for below in told if below.ratio < most][-1]
+    for depth in np.arange(lowest.depth + 1, min(lowest.depth + STEP, deepest + 1)):
+        deeper = tried(float(depth))
+        if deeper is None or deeper.ratio >= most:
+            break
+        lowest = deeper
+    return lowest
 
 
 def _through(

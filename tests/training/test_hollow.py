@@ -13,7 +13,7 @@ from refdgs_pipe.artifacts.sparse_model import Ball
 from refdgs_pipe.artifacts.start import HOLLOW, SOLID, Start
 from refdgs_pipe.errors import CorruptError
 from refdgs_pipe.training.field import TrainableField
-from refdgs_pipe.training.hollow import FREE, Hollow
+from refdgs_pipe.training.hollow import Hollow
 from refdgs_pipe.training.initial import hull_ticks, object_hull
 from refdgs_pipe.training.photos import load_training_photos
 from refdgs_pipe.training.starting import Given, start_of
@@ -41,9 +41,9 @@ def at(i: float, j: float, k: float) -> torch.Tensor:
 
 def test_what_floats_in_a_hollow_moves_back_to_the_nearest_wall() -> None:
     hollow = Hollow(box(), BALL)
-    floating, kept = torch.stack([at(16, 16, 14), at(11, 16, 15)]), at(9, 16, 15)[None]
+    floating, kept = torch.stack([at(16, 16, 14), at(9, 16, 15)]), at(8, 16, 15)[None]
     moved = hollow.kept_empty(floating)
-    torch.testing.assert_close(moved, torch.stack([at(16, 16, 8 + FREE), at(8 + FREE, 16, 15)]))
+    torch.testing.assert_close(moved, torch.stack([at(16, 16, 8), at(8, 16, 15)]))
     torch.testing.assert_close(hollow.kept_empty(moved), moved)
     torch.testing.assert_close(hollow.kept_empty(kept), kept)
 
