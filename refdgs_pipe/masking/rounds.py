@@ -208,9 +208,9 @@ class _Worker:
         evidence = self._evidence(found)
         values, known = self._with_colours(evidence, found), [e.known for e in evidence]
         outlines, proven = self._parts_of(found.outlines), self._proven()
-        solid = bites = np.zeros(0, bool)
-        for deny in self.level.denials:
-            if len(solid):  # cells as small as what is left allows
+        solid = bites = self.cells.inside
+        for number, deny in enumerate(self.level.denials):
+            if number:  # cells as small as the solid allows
                 within = ball_of(self.cells.points[solid], self.cells.size)
                 self.cells = grid(within, *self.plane, self.level.solid)
             masks = self._near_outlines(values, outlines)

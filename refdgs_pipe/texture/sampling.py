@@ -172,7 +172,8 @@ class Sampler:
         rows = pixels[hits.rays]
         near = np.abs(hits.distance - view.depth.reshape(-1)[rows]) < self.tolerance
         toward = -rays[hits.rays] / np.linalg.norm(rays[hits.rays], axis=1, keepdims=True)
-        cosine = ((normal := view.normal.reshape(-1, 3)[rows]) * toward).sum(1)
+        normal = view.normal.reshape(-1, 3)[rows]
+        cosine = (normal * toward).sum(1)
         good = np.flatnonzero(near & (cosine > _MIN_COSINE))[: self.per_view]
         if not len(good):
             return 0
@@ -182,7 +183,6 @@ class Sampler:
         pixel = hits.distance[good] / np.float32(focal or camera.K[0, 0])
         bent = at_hits(self._bent, mesh.faces, face, weights)[:, 0] * pixel**2 / 6
         diffuse, specular = (of.reshape(-1, 3)[rows] for of in (view.diffuse, view.specular))
-        seen = _shown(diffuse + specular, rows, photo, lamp)
         points = at_hits(mesh.vertices, mesh.faces, face, weights)
         glint = None if lamp is None else _glint(lamp.place - points, normal[good], toward[good])
         near_face, near_weights = self._mirror(face, weights, mirrored.astype(np.float32))
@@ -196,7 +196,7 @@ class Sampler:
                 near_weights,
                 diffuse,
                 specular,
-                np.clip(seen, 0, 1).astype(np.float32),
+                np.clip(_shown(diffuse + specular, rows, photo, lamp), 0, 1).astype(np.float32),
                 view.roughness.reshape(-1)[rows],
                 bent.astype(np.float32),
                 np.full(len(rows), len(self._parts)),

@@ -254,12 +254,12 @@ class _Around:
         return np.asarray(wide[:, :-1] / np.maximum(wide[:, -1:], 1e-6), np.float32)
 
     def between(self, values: F32, groups: Ints) -> F32:
-        """(V,) variance between groups of samples (N, C): of what each adds to a vertex's mean.
+        """(V,) variance between groups of samples (N, C): of the means of the groups at a vertex.
 
-        A group's samples are averaged over the neighbours first.
+        Each mean is taken of the differences from the mean of all groups, over the neighbours too.
 
         Args:
-            groups: (N,) the group of each sample.
+            groups: (N,) the number of each sample's group.
         """
         weight = self._summed(_ONE)
         mean = self._summed(values) / np.maximum(weight, 1e-6)

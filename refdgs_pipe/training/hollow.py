@@ -34,7 +34,7 @@ class Hollow:
         self._back = torch.from_numpy(back.astype(np.float32)).to(device)
 
     def kept_empty(self, means: Tensor) -> Tensor:
-        """Centres (N, 3), world; those that float in the hollow are moved to its surface."""
+        """Centres (N, 3), world; those that float in the hollow are moved to the nearest wall."""
         n = len(self._back)
         at = ((means - self._low) / self._cell).round().long()
         within = ((at >= 0) & (at < n)).all(1, keepdim=True)

@@ -32,7 +32,7 @@ PLACE = 2  # cells along the side of a place
 VIEWS = 4  # photos that show a place, at least
 RAYS = 200  # that all solids explain, at least
 STRIDE = 0.5  # cells, along a ray
-TIE = 0.02  # of the closed solid's difference: floors that close are told apart by nothing
+TIE = 0.02  # of the closed solid's difference: floors that differ by less count as equal
 LOW = 1.1  # of the best vessel's differences: of floors that leave less, the lowest is taken
 OPENS = 0.8  # of the closed solid's difference, that a vessel leaves at most
 
@@ -105,7 +105,7 @@ def seen_below(
     lids = (hull.cells, hull.cells & ~plateau.bulge)
     closed_by = [_Explained.by(hull, cells, rays, along) for cells in lids]
 
-    def tried(depth: float) -> Below | None:
+    def down_to(depth: float) -> Below | None:
         cells = hull.cells & ~(hollow & (under < depth))
         vessel = _Explained.by(hull, cells, rays, along)
         ratios = [ratio for lid in closed_by if (ratio := vessel.ratio_to(lid)) is not None]
@@ -115,7 +115,7 @@ def seen_below(
     for number, depth in enumerate(depths):
         if progress is not None:
             progress(number, len(depths))
-        if (below := tried(float(depth))) is not None:
+        if (below := down_to(float(depth))) is not None:
             told.append(below)
     if not told:
         return None
@@ -126,7 +126,7 @@ def seen_below(
     most = min(max(best + TIE, best * LOW), OPENS)
     lowest = [below for below in told if below.ratio < most][-1]
     for depth in np.arange(lowest.depth + 1, min(lowest.depth + STEP, deepest + 1)):
-        deeper = tried(float(depth))
+        deeper = down_to(float(depth))
         if deeper is None or deeper.ratio >= most:
             break
         lowest = deeper
