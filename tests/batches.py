@@ -3,6 +3,7 @@
 import json
 import shlex
 import sys
+from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -38,7 +39,11 @@ class BatchShell(Shell):
 
     def init(self, *arguments: str, **texts: str) -> None:
         """A batch of these captures, whose jobs use the small stages."""
-        self("batch", "init", *self.captures(**texts), *arguments, "--out", "B")
+        self.begin(self.captures(**texts), *arguments)
+
+    def begin(self, captures: Sequence[str], *arguments: str) -> None:
+        """A batch of folders that are there, whose jobs use the command line of the tests."""
+        self("batch", "init", *captures, *arguments, "--out", "B")
         path = self.batch / "Snakefile"
         lines = path.read_text().splitlines()
         at = next(i for i, line in enumerate(lines) if line.startswith("COMMAND ="))

@@ -2,6 +2,7 @@
 
 import errno
 import json
+import os
 import random
 import threading
 from collections.abc import Iterator
@@ -233,35 +234,45 @@ def test_poisoned_bytes_are_refused_named_and_replaced(
 
 
 class Flaky:
-    """A store that fails now and then: cut connections, 503s, wrong and truncated bytes."""
+    """A store that fails now and then.
 
-    def __init__(self, inner: Any, chance: float, seed: int) -> None:
-        self.inner, self.chance, self.random = inner, chance, random.Random(seed)
+    Args:
+        kind: one of FAULTS.
+        chance: of a failure, for each request that can fail so.
+    """
+
+    def __init__(self, inner: Any, kind: str, chance: float, seed: int) -> None:
+        self.inner, self.kind, self.chance = inner, kind, chance
+        self.random = random.Random(seed)
         self.faults = 0
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.inner, name)
 
-    def _fails(self) -> bool:
-        fails = self.random.random() < self.chance
+    def fails(self, *kinds: str) -> bool:
+        """Whether this request fails, where its kind is among these."""
+        fails = self.kind in kinds and self.random.random() < self.chance
         self.faults += fails
         return fails
 
     def head(self, path: str) -> Any:
-        if self._fails():
+        if self.fails("busy"):
             raise GenericError("503 Slow Down")
         return self.inner.head(path)
 
     def put(self, path: str, data: Any, **options: Any) -> Any:
-        if self._fails():
-            if self.random.random() < 0.5 and path.startswith("cas"):  # a writer that broke in two
-                whole = data.read_bytes() if isinstance(data, Path) else data
-                self.inner.put(path, whole[: len(whole) // 2])
+        if self.fails("busy"):
+            raise GenericError("503 Slow Down")
+        if path.startswith("cas") and self.fails("torn upload"):
+            whole = data.read_bytes() if isinstance(data, Path) else data
+            self.inner.put(path, whole[: len(whole) // 2])
             raise GenericError("connection reset")
+        if self.fails("full store"):
+            raise GenericError("507 Insufficient Storage")
         return self.inner.put(path, data, **options)
 
     def get(self, path: str) -> Any:
-        if self._fails():
+        if self.fails("busy"):
             raise GenericError("503 Slow Down")
         return Answer(self.inner.get(path), self)
 
@@ -270,13 +281,12 @@ class Answer:
     """What a flaky store gives: sometimes less, or something else."""
 
     def __init__(self, inner: Any, store: Flaky) -> None:
-        self.meta, self._data, self._store = inner.meta, bytes(inner.bytes()), store
-        kind = store.random.randrange(3) if store._fails() else None
-        self._is_cut = kind == 0
-        if kind == 1 and self._data:
+        self.meta, self._data = inner.meta, bytes(inner.bytes())
+        self._is_cut = store.fails("cut")
+        if self._data and store.fails("wrong bytes"):
             at = store.random.randrange(len(self._data))
             self._data = self._data[:at] + bytes([self._data[at] ^ 1]) + self._data[at + 1 :]
-        elif kind == 2:
+        elif store.fails("truncated"):
             self._data = self._data[: len(self._data) // 2]
 
     def bytes(self) -> bytes:
@@ -291,14 +301,26 @@ class Answer:
                 raise GenericError("connection closed before the message was complete")
 
 
-@pytest.mark.parametrize("faults", [60, pytest.param(1000, marks=pytest.mark.slow)])
-def test_faults_let_nothing_wrong_through_and_lose_nothing(tmp_path: Path, faults: int) -> None:
-    flaky = Flaky(MemoryStore(), 0.25, seed=3)
+FAULTS = ("busy", "cut", "truncated", "wrong bytes", "torn upload", "full store")
+MANY = [12, pytest.param(1000, marks=pytest.mark.slow)]  # of each kind of fault
+
+
+@pytest.mark.parametrize("faults", MANY)
+@pytest.mark.parametrize("kind", FAULTS)
+def test_faults_let_nothing_wrong_through_and_lose_nothing(
+    tmp_path: Path, kind: str, faults: int
+) -> None:
+    flaky = Flaky(MemoryStore(), kind, 0.25, seed=3)
+
+    def machine_for(number: int, name: str) -> tuple[Machine, Origin]:
+        origin = Origin("train", 1, {"number": number}, {"x": "y"})
+        files = {**FILES, "field": b"%d " % number * 1000}
+        return Machine(tmp_path / name, Objects(flaky, "flaky"), files), origin
+
     rounds = 0
     while flaky.faults < faults:
         rounds += 1
-        origin = Origin("train", 1, {"round": rounds // 4}, {"x": "y"})
-        machine = Machine(tmp_path / str(rounds), Objects(flaky, "flaky"))
+        machine, origin = machine_for(rounds // 4, str(rounds))
         if machine.fetch(origin) is None:
             machine.make(origin)
         assert machine.whole(origin)
@@ -307,18 +329,80 @@ def test_faults_let_nothing_wrong_through_and_lose_nothing(tmp_path: Path, fault
         machine.store.check(found)
     flaky.chance = 0.0
     for number in range(rounds // 4):  # whatever is shared at the end is whole, or is refused
-        origin = Origin("train", 1, {"round": number}, {"x": "y"})
-        machine = Machine(tmp_path / f"last{number}", Objects(flaky, "flaky"))
+        machine, origin = machine_for(number, f"last{number}")
         if machine.fetch(origin) is not None:
             assert machine.whole(origin)
         else:
             machine.make(origin)
-            again = Machine(tmp_path / f"again{number}", Objects(flaky, "flaky"))
+            again, _ = machine_for(number, f"again{number}")
             assert again.fetch(origin) is not None and again.whole(origin)
 
 
+class Full(Objects):
+    """Files are fetched to a disk that is sometimes full."""
+
+    is_full = False
+
+    def _download(self, digest: str, size: int, path: Path) -> None:
+        super()._download(digest, size, path)
+        if self.is_full:
+            os.truncate(path, size // 2)
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+
+@pytest.mark.parametrize("faults", MANY)
+def test_full_disks_leave_no_half_result_and_lose_nothing(tmp_path: Path, faults: int) -> None:
+    farm = Machine(tmp_path / "farm", Objects(MemoryStore(), "memory"))
+    farm.make()
+    for number in range(faults):
+        objects = Full(farm.objects.store, "memory")
+        laptop = Machine(tmp_path / str(number), objects)
+        objects.is_full = True
+        with pytest.raises(WriteError, match="no space left"):
+            laptop.fetch()
+        assert not laptop.store.folder(ORIGIN).exists()
+        assert not list(laptop.store.root.glob("train/.partial-*"))
+        objects.is_full = False
+        again = Machine(tmp_path / f"{number}-again", objects)  # after room was made
+        assert again.fetch() is not None and again.whole()
+
+
+class Skewed:
+    """A store whose clock is wrong by that much."""
+
+    def __init__(self, inner: Any, skew: timedelta) -> None:
+        self.inner, self.skew = inner, skew
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.inner, name)
+
+    def _as_told(self, meta: Any) -> Any:
+        return {**meta, "last_modified": meta["last_modified"] + self.skew}
+
+    def head(self, path: str) -> Any:
+        return self._as_told(self.inner.head(path))
+
+    def list(self, *arguments: Any, **options: Any) -> Iterator[list[Any]]:
+        for page in self.inner.list(*arguments, **options):
+            yield [self._as_told(meta) for meta in page]
+
+
+@pytest.mark.parametrize("faults", MANY)
+def test_wrong_clocks_delete_nothing_new_and_keep_nothing_old(tmp_path: Path, faults: int) -> None:
+    inner, drawn = MemoryStore(), random.Random(5)
+    for number in range(faults):
+        skew = timedelta(days=drawn.uniform(-4000, 4000))
+        store = Skewed(inner, skew)
+        farm = Machine(tmp_path / f"farm{number}", Objects(store, "skewed"))
+        farm.make()
+        assert upkeep.collect(farm.objects, timedelta(days=1), lambda _: False).records == 0
+        laptop = Machine(tmp_path / f"laptop{number}", Objects(store, "skewed"))
+        assert laptop.fetch() is not None and laptop.whole()
+        assert upkeep.collect(farm.objects, timedelta(0), lambda _: False).records == 1
+
+
 def test_a_store_that_fails_is_told_once_and_the_rest_is_made_here(tmp_path: Path) -> None:
-    flaky = Flaky(MemoryStore(), 1.0, seed=0)
+    flaky = Flaky(MemoryStore(), "busy", 1.0, seed=0)
     laptop = Machine(tmp_path / "laptop", Objects(flaky, "s3://shop"))
     assert laptop.fetch() is None
     laptop.make()
@@ -336,7 +420,7 @@ def test_a_place_that_may_only_be_read_is_still_read(tmp_path: Path) -> None:
         def put(self, path: str, data: Any, **options: Any) -> Any:
             raise GenericError("403 Forbidden")
 
-    laptop = Machine(tmp_path / "laptop", Objects(ReadOnly(inner, 0.0, seed=0), "shop"))
+    laptop = Machine(tmp_path / "laptop", Objects(ReadOnly(inner, "busy", 0.0, seed=0), "shop"))
     laptop.make()
     laptop.make(Origin("gate", 1, {}, {}))
     assert len(laptop.told) == 1 and "offers no results" in laptop.told[0]
@@ -434,7 +518,7 @@ def test_reading_a_record_of_another_size_is_refused_before_it_is_read(objects: 
 
 
 def test_a_file_that_stops_in_the_middle_is_a_fault_of_the_place_and_not_of_the_file() -> None:
-    flaky = Flaky(MemoryStore(), 0.0, seed=0)
+    flaky = Flaky(MemoryStore(), "cut", 0.0, seed=0)
     flaky.inner.put(bytes_path("0" * 32), b"x" * 5000)
     flaky.chance, flaky.random = 1.0, random.Random(1)
     with pytest.raises(DiskFault):
