@@ -33,7 +33,10 @@ SMALL = shlex.join(sets({})[1::2])  # as the table has settings
 
 
 class Killer(threading.Thread):
-    """Kills a job of the batch every now and then, without a word."""
+    """Kills one of the jobs that run, every now and then, without a word.
+
+    Not the only one: it would be hit each time, and would never end if it takes longer than that.
+    """
 
     def __init__(self, batch: Path, every_s: float) -> None:
         super().__init__(daemon=True)
@@ -43,7 +46,7 @@ class Killer(threading.Thread):
 
     def run(self) -> None:
         while not self.over.wait(self.every_s * self._random.uniform(0.5, 1.5)):
-            if found := self._jobs():
+            if len(found := self._jobs()) > 1:
                 try:
                     os.kill(self._random.choice(found), signal.SIGKILL)
                     self.kills += 1
