@@ -143,13 +143,18 @@ def test_growth(tmp_path: Path) -> None:
         if len(sizes) > 1:
             slopes = [exponent(sizes[i:], values[i:]) for i in (0, -2)]
         lines[name] = (sizes, values, slopes[1])
-        cells = [f"{found[count][name]:.3g}" if name in found[count] else "" for count in SIZES]
+        cells = [cell(found[count].get(name)) for count in SIZES]
         rows.append((name, *cells, *(f"{slope:.2f}" for slope in slopes)))
     print()
     for row in rows:
         print("| " + " | ".join(row) + " |")
     place = folder_for_build() / "batch-growth.svg"
     place.write_text(drawn({name: lines[name] for name in DRAWN}))
+
+
+def cell(value: float | None) -> str:
+    """A figure in a table; empty where there is none."""
+    return "" if value is None else f"{value:.3g}" if value < 1000 else f"{value:,.0f}"
 
 
 def drawn(lines: Mapping[str, Line]) -> str:
