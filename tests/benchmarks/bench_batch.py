@@ -27,6 +27,7 @@ import pytest
 from batches import BatchShell, needs_snakemake
 from bench_rasterize import folder_for_build
 from bench_scaling import exponent
+from fake_cli import Small
 from fake_stages import STAGES, Letters
 
 from refdgs_pipe.cli.batch import parts, step
@@ -79,14 +80,6 @@ def peak_mb(shell: BatchShell) -> float:
     return int(done[0]) / 1000
 
 
-def small_stages(patch: pytest.MonkeyPatch) -> None:
-    """The stages of `fake_stages` in this process, as `fake_cli` has them."""
-    patch.setattr(catalog, "load_stages", lambda names=(): list(STAGES))
-    patch.setattr(catalog, "source_type", lambda stages: Letters)
-    patch.setitem(parts.ENDS, "prepare", "read")
-    patch.setitem(parts.ENDS, "train", "shout")
-
-
 def fill(shell: BatchShell) -> Counter[str]:
     """Do every job here, without Snakemake. Requests to the store: kind -> how many."""
     stores = list[Objects]()
@@ -97,7 +90,7 @@ def fill(shell: BatchShell) -> Counter[str]:
 
     batch = Batch.read(shell.batch)
     with pytest.MonkeyPatch.context() as patch:
-        small_stages(patch)
+        patch.setattr(catalog, "build", lambda store: Small(Letters, STAGES, store))
         patch.setattr(step, "open_place", opened)
         for capture in batch.captures:
             for part in parts.ENDS:

@@ -249,9 +249,9 @@ class Flaky:
     def __getattr__(self, name: str) -> Any:
         return getattr(self.inner, name)
 
-    def fails(self, *kinds: str) -> bool:
-        """Whether this request fails, where its kind is among these."""
-        fails = self.kind in kinds and self.random.random() < self.chance
+    def fails(self, kind: str) -> bool:
+        """Whether a request that can fail in this way does so now."""
+        fails = self.kind == kind and self.random.random() < self.chance
         self.faults += fails
         return fails
 
