@@ -11,7 +11,7 @@ from refdgs_pipe.masking.settings import MasksParams
 from refdgs_pipe.pipeline.stage import Job, stage
 
 
-@stage(version=40, programs=("opencv-contrib-python-headless", "scipy"))
+@stage(version=41, programs=("opencv-contrib-python-headless", "scipy"))
 def masks(
     views: Views, model: SparseModel, lighting: Lighting, params: MasksParams, job: Job
 ) -> Masks:
@@ -20,8 +20,8 @@ def masks(
 
     from refdgs_pipe.masking.by_network import network_masks
     from refdgs_pipe.masking.files import write_masks
+    from refdgs_pipe.masking.finding import agreement, object_masks
     from refdgs_pipe.masking.network import Network
-    from refdgs_pipe.masking.rounds import agreement, object_masks
     from refdgs_pipe.sfm.support import support_plane
 
     def none(reason: str) -> Masks:

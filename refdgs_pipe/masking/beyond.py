@@ -28,6 +28,7 @@ TEXTURE_PATCH = 1.3  # pixels (sigma) over which texture is measured
 TEXTURED = 0.5  # share of the usual texture beside the object at which likeness counts in full
 LEAST = 0.5  # weight of likeness without any texture
 PLAIN = 0.03  # contrast of log brightness below which a place has no texture
+PLAIN_ROOM, PLAIN_SHARE = 0.012, 0.75  # contrast below which that share of a plain room lies
 ONE_COLOUR = 0.02  # log colour: by how much the room differs on both sides of something thin
 NEARLY = 2 * SPREAD  # log colour: what differs from a plain room by more is not like it by chance
 OUTLINE = 1  # pixels round a plain room, in which its edge has texture
@@ -90,6 +91,20 @@ def shown_room(shots: list[Shot], ball: Ball, cover: list[Bools], threads: int =
         unknown = [np.zeros_like(e.known) for e in out]
         return [Room(0 * e.value, no, no) for e, no in zip(out, unknown, strict=True)]
     return out
+
+
+def is_plain(shots: list[Shot], beside: list[Bools]) -> bool:
+    """Whether most photos show a room with hardly any texture.
+
+    Args:
+        beside: (H, W) where each photo shows the room, clear of the object.
+    """
+    textures = [
+        np.quantile(contrast(shot.logs.mean(-1), TEXTURE_PATCH)[where], PLAIN_SHARE)
+        for shot, where in zip(shots, beside, strict=True)
+        if where.any()
+    ]
+    return bool(textures) and float(np.median(textures)) < PLAIN_ROOM
 
 
 def _moves(evidence: list[Room], cover: list[Bools]) -> bool:

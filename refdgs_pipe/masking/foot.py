@@ -1,6 +1,6 @@
 """Where on the plane the object stands for sure, before its masks are known."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -27,12 +27,13 @@ class Foot:
     Args:
         walls: the flat mirrors that stand on the plane.
         covered: (n, n) of a picture of the plane, where evidence for it does not count: its pattern
-            does not go on, a plain body stands, or something hides it and no texture proves it;
-            None where nothing is known of that.
+            does not go on, or a plain body stands; None where nothing is known of that.
         radius: how far that picture reaches, world units.
         hangs: (n, n) of it, where photos agree on a plain body that hangs over the plane; or None.
         proven: (n, n) of it, where photos from several sides agree on the plane's texture; None
             where that was not asked: on a ground that repeats, and under a flash.
+        unproven: (n, n) of it, where something hides the plane and no texture proves it; None
+            where that was not asked, or is nowhere. What hides it stands there, or is above it.
     """
 
     walls: list[Wall]
@@ -40,6 +41,14 @@ class Foot:
     radius: float = 0.0
     hangs: Bools | None = None
     proven: Bools | None = None
+    unproven: Bools | None = None
+
+    def on_unproven(self) -> "Foot":
+        """The same, if the object stands wherever nothing proves that photos see the plane."""
+        if self.unproven is None:
+            return self
+        there = self.unproven if self.covered is None else self.covered | self.unproven
+        return replace(self, covered=there, unproven=None)
 
     def on(self, ground: Ground, n: int) -> Bools:
         """(n, n) the covered cells of another picture of the plane, with the same middle."""
@@ -90,13 +99,16 @@ def foot(
         centers = np.stack([shot.camera.center for shot in shots])
         given = (table.colour, seen, ground, centers, ball.radius)
         there, hangs = plain_bodies(*given)
-        sure = None
+        sure = doubtful = None
         if not flash:
             towards = shown_from(table.colour, seen, ground, centers)
-            there |= unproven(*given, towards)
+            doubtful = unproven(*given, towards) & ~there
             sure = proven(towards)
         walls = mirror_walls(table, seen, centers, ball.radius)
-        return Foot(walls, there if there.any() else None, ground.radius, hangs, sure)
+        found = Foot(walls, there if there.any() else None, ground.radius, hangs, sure)
+        return (
+            found if doubtful is None or not doubtful.any() else replace(found, unproven=doubtful)
+        )
     return Foot([], covered(table.colour, _agreeing(table, seen), pattern), ground.radius)
 
 

@@ -22,10 +22,10 @@ from refdgs_pipe.ground.shots import (
     resized,
     whole_shots,
 )
-from refdgs_pipe.masking.beyond import Room, shown_room
+from refdgs_pipe.masking.beyond import Room, is_plain, shown_room
 from refdgs_pipe.masking.colours import colour_evidence, with_colour
 from refdgs_pipe.masking.cut import cut, without_false_holes
-from refdgs_pipe.masking.foot import WIDE, Foot, foot
+from refdgs_pipe.masking.foot import WIDE, Foot
 from refdgs_pipe.masking.levels import LAST, LEVELS, Level
 from refdgs_pipe.masking.odds import calibrated
 from refdgs_pipe.masking.solid import (
@@ -58,6 +58,7 @@ INNER = 0.7  # of the silhouette's prior inside, at last
 FREE = 0.3  # of a mask, above which it denies nothing
 EDGE = 0.5  # of a cell: so far inside its outline the solid is sure
 LEAST_CELLS = 50
+ROUNDS = sum(len(level.denials) for level in LEVELS) + 1
 FIRST_SELDOM, SELDOM = (0.25, 0.5), (0.1, 0.4)
 
 
@@ -82,11 +83,12 @@ class Found:
     shadows: list[Bools] | None = None
 
 
-def object_masks(
+def solved(
     views: Views,
     model: SparseModel,
     plane: tuple[F64, float],
-    progress: Callable[[int, int], None],
+    stands: Foot,
+    done: Callable[[], None],
     *,
     threads: int = 1,
     light: Lighting | None = None,
@@ -98,42 +100,36 @@ def object_masks(
 
     Args:
         plane: unit normal and offset, world.
-        progress: told the rounds done and their number; may raise.
+        stands: where the object stands, as far as the plane's picture tells.
+        done: called before each of the `ROUNDS` rounds; may raise.
         threads: photos that are worked on at a time; the result does not depend on it.
         light: a flash, whose shadow moves with it, or a turntable; None for a still light.
     """
     found: Found | None = None
-    stands = foot(views, model, plane, threads, flash=light is not None and light.lamp is not None)
-    total, done = sum(len(level.denials) for level in LEVELS) + 1, 0
     for level in LEVELS:
         worker = _Worker(views, model, plane, level, found, threads, stands, light)
         for deny in level.denials:
-            progress(done, total)
+            done()
             found = worker.round(found, deny)
-            done += 1
             if found is None:
                 return None
         if found is not None and found.room is None:
             found = worker.with_room(found)
-    progress(done, total)
-    return (
-        None
-        if found is None
-        else _Worker(views, model, plane, LAST, found, threads, stands, light).final(found)
-    )
+    done()
+    if found is None:
+        return None
+    return _Worker(views, model, plane, LAST, found, threads, stands, light).final(found)
 
 
-def agreement(found: Found) -> tuple[float, float]:
-    """How well the masks agree with the solid that all of them show: mean and worst tenth.
+@dataclass(frozen=True)
+class _Told(Evidence):
+    """What a photo tells.
 
-    Intersection over union of each mask with the solid's silhouette.
+    Args:
+        mirrors: (H, W) where it shows neither the plane nor the room, but may mirror a plain room.
     """
-    shares = []
-    for mask, outline in zip(found.masks, found.outlines, strict=True):
-        inside = mask > 0.5
-        union = int((inside | outline).sum())
-        shares.append(float((inside & outline).sum()) / union if union else 0.0)
-    return float(np.mean(shares)), float(np.quantile(shares, 0.1))
+
+    mirrors: Bools
 
 
 class _Worker:
@@ -183,9 +179,9 @@ class _Worker:
                 for e, limit in zip(evidence, limits, strict=True)
             ]
         else:
-            evidence = self._evidence(found)
+            told = self._evidence(found)
             limits = [np.ones(shot.valid.shape, bool) for shot in self.shots]
-            values = self._with_colours(evidence, found)
+            values, evidence = self._with_colours(told, found), list[Evidence](told)
         masks = self._cuts(values)
         free = [m & limit for m, limit in zip(self._free(masks), limits, strict=True)]
         known = [e.known for e in evidence]
@@ -232,7 +228,7 @@ class _Worker:
         masks = self._near_outlines(values, outlines)
         return self._placed(masks, outlines, solid, found.room)
 
-    def _evidence(self, found: Found) -> list[Evidence]:
+    def _evidence(self, found: Found) -> list[_Told]:
         """What the plane tells, and the room where the plane does not."""
         outlines = self._parts_of(found.outlines)
         inner = [grown(o, -band) for o, band in zip(outlines, self.band, strict=True)]
@@ -248,28 +244,29 @@ class _Worker:
             for shot, before, now in zip(self.shots, planes, told, strict=True)
         ]
         if found.room is None:
-            return planes
+            return [_Told(p.value, p.known, np.zeros_like(p.known)) for p in planes]
         rooms = self._parts([room.value for room in found.room])
         known = self._parts([room.known.astype(np.float32) for room in found.room])
+        apart = self._parts_of([room.apart for room in found.room])
+        beside = [(k > 0.9) & ~plane.known for k, plane in zip(known, planes, strict=True)]
+        in_plain_room = is_plain(self.shots, [b & c for b, c in zip(beside, clear, strict=True)])
         out = []
-        for plane, room, tells in zip(planes, rooms, known, strict=True):
-            beside = (tells > 0.9) & ~plane.known
-            sure = beside & (smooth(np.abs(room), 1.0) > TELLING)
-            out.append(Evidence(np.where(beside, room, plane.value), plane.known | sure))
+        for plane, room, there, alone in zip(planes, rooms, beside, apart, strict=True):
+            sure = plane.known | (there & (smooth(np.abs(room), 1.0) > TELLING))
+            value = np.where(there, room, plane.value)
+            mirrors = (alone & ~sure) | ((value < 0) & in_plain_room)
+            out.append(_Told(value, sure, mirrors))
         return out
 
-    def _with_colours(self, evidence: list[Evidence], found: Found) -> list[F32]:
+    def _with_colours(self, evidence: list[_Told], found: Found) -> list[F32]:
         """(H, W) the evidence, and that of colours where it is weak; far off only one way."""
         outlines = self._parts_of(found.outlines)
         colours = colour_evidence(self.shots, self._parts(found.masks), outlines, self.band)
-        apart = [np.zeros_like(shot.valid) for shot in self.shots]
-        if found.room is not None:
-            apart = self._parts_of([room.apart for room in found.room])
         out = []
-        given = zip(self.shots, evidence, colours, outlines, apart, self.band, strict=True)
-        for shot, one, colour, outline, alone, band in given:
+        given = zip(self.shots, evidence, colours, outlines, self.band, strict=True)
+        for shot, one, colour, outline, band in given:
             near = grown(outline, 2 * band)
-            covers = self.table.drawn_cover(shot) | (alone & ~one.known)
+            covers = self.table.drawn_cover(shot) | one.mirrors
             out.append(with_colour(one.value, colour, near, covers))
         return out
 

@@ -1,10 +1,12 @@
 """What photos show of a room beside the plane."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
-from refdgs_pipe.ground.shots import F32, Bools
-from refdgs_pipe.masking.beyond import EDGES, OUTLINE, _set_apart
+from refdgs_pipe.ground.shots import F32, Bools, Shot
+from refdgs_pipe.masking.beyond import EDGES, OUTLINE, _set_apart, is_plain
 
 ROWS, COLUMNS = np.mgrid[:80, :120]
 LEFT, RIGHT = np.hypot(ROWS - 40, COLUMNS - 40), np.hypot(ROWS - 40, COLUMNS - 80)
@@ -55,3 +57,24 @@ def test_something_thin_is_set_apart_from_a_plain_room() -> None:
     found = _set_apart(logs, BESIDE | (np.abs(COLUMNS - 60) > 8))
     assert found[bar][6:-6].all()
     assert not found[np.abs(COLUMNS - 60) > 4 + OUTLINE].any()
+
+
+def photos_of_rooms(kinds: str) -> list[Shot]:
+    """One photo for each letter: a `p`lain room, or one with texture."""
+    rng = np.random.default_rng(1)
+    camera: Any = None
+    whole = (COLUMNS.shape[1], COLUMNS.shape[0])
+    shots = []
+    for kind in kinds:
+        rgb = np.full((*ROWS.shape, 3), 0.5, np.float32)
+        if kind != "p":
+            rgb *= rng.uniform(0.8, 1.2, (*ROWS.shape, 1)).astype(np.float32)
+        box = (0, whole[0], 0, whole[1])
+        shots.append(Shot(camera, rgb, np.ones(ROWS.shape, bool), box, whole))
+    return shots
+
+
+@pytest.mark.parametrize(("kinds", "plain"), [("ppp", True), ("ppt", True), ("ptt", False)])
+def test_a_room_is_plain_if_most_photos_show_no_texture(kinds: str, plain: bool) -> None:
+    assert is_plain(photos_of_rooms(kinds), [BESIDE] * len(kinds)) == plain
+    assert not is_plain(photos_of_rooms(kinds), [np.zeros_like(BESIDE)] * len(kinds))

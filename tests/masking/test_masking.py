@@ -19,7 +19,7 @@ from refdgs_pipe.masking import foot, rounds
 from refdgs_pipe.masking.colours import with_colour
 from refdgs_pipe.masking.cut import cut
 from refdgs_pipe.masking.files import distorted, write_masks
-from refdgs_pipe.masking.rounds import agreement, object_masks
+from refdgs_pipe.masking.finding import agreement, object_masks
 from refdgs_pipe.masking.solid import (
     Cells,
     agreed,
