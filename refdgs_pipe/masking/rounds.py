@@ -126,7 +126,8 @@ class _Told(Evidence):
     """What a photo tells.
 
     Args:
-        mirrors: (H, W) where it shows neither the plane nor the room, but may mirror a plain room.
+        mirrors: (H, W) where it may show a mirror, which has the colours of a plain room: where it
+            shows neither plane nor room, or where the solid is and it is not sure of the room.
     """
 
     mirrors: Bools
@@ -251,10 +252,12 @@ class _Worker:
         beside = [(k > 0.9) & ~plane.known for k, plane in zip(known, planes, strict=True)]
         in_plain_room = is_plain(self.shots, [b & c for b, c in zip(beside, clear, strict=True)])
         out = []
-        for plane, room, there, alone in zip(planes, rooms, beside, apart, strict=True):
+        parts = zip(planes, rooms, beside, apart, outlines, strict=True)
+        for plane, room, there, alone, outline in parts:
             sure = plane.known | (there & (smooth(np.abs(room), 1.0) > TELLING))
             value = np.where(there, room, plane.value)
-            mirrors = (alone & ~sure) | ((value < 0) & in_plain_room)
+            likely = (value < 0) | (outline & there & (value < TELLING))
+            mirrors = (alone & ~sure) | (likely & in_plain_room)
             out.append(_Told(value, sure, mirrors))
         return out
 
