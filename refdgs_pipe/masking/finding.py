@@ -1,6 +1,7 @@
-"""The object's masks by the explanation of its foot on which the photos agree best."""
+"""The object's masks, by the explanation of its foot whose masks agree best with one solid."""
 
 from collections.abc import Callable
+from itertools import count
 
 import numpy as np
 
@@ -8,7 +9,7 @@ from refdgs_pipe.artifacts.lighting import Lighting
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import F64
-from refdgs_pipe.masking.foot import foot
+from refdgs_pipe.masking.foot import Foot, foot
 from refdgs_pipe.masking.rounds import ROUNDS, Found, solved
 
 BETTER = 0.015  # agreement: a foot where nothing proves the plane has to gain that much
@@ -25,9 +26,10 @@ def object_masks(
 ) -> Found | None:
     """Masks of what stands on a plane, or None where nothing is found.
 
-    Where nothing proves that photos see the plane, the object may stand, or hang over ground that
-    is plain or in shade. Then both are tried. It stands there if masks then agree clearly better
-    with one solid: a foot that is taken for ground is cut off differently in each photo.
+    Where something hides the plane and no texture proves it, the object may stand there, or hang
+    over ground that is plain or in shade. Then masks are made for both. Those for an object that
+    stands are taken if they agree better with one solid, by more than `BETTER`: a foot that is
+    taken for ground is cut off differently in each photo.
 
     Args:
         plane: unit normal and offset, world.
@@ -37,24 +39,22 @@ def object_masks(
     """
     flash = light is not None and light.lamp is not None
     progress(0, ROUNDS)
-    stands = foot(views, model, plane, threads, flash=flash)
-    total, done = (ROUNDS if stands.unproven is None else 2 * ROUNDS), 0
+    hanging = foot(views, model, plane, threads, flash=flash)
+    standing = hanging.on_unproven()
+    total = ROUNDS if standing is hanging else 2 * ROUNDS
 
-    def told() -> None:
-        nonlocal done
-        progress(done, total)
-        done += 1
+    def explained(stands: Foot, before: int) -> Found | None:
+        rounds = count(before)
+        given = (views, model, plane, stands, lambda: progress(next(rounds), total))
+        return solved(*given, threads=threads, light=light)
 
-    free = solved(views, model, plane, stands, told, threads=threads, light=light)
-    if stands.unproven is None:
-        return free
-    done = ROUNDS
-    there = stands.on_unproven()
-    standing = solved(views, model, plane, there, told, threads=threads, light=light)
-    if free is None or standing is None:
-        return standing or free
-    gain = agreement(standing)[0] - agreement(free)[0]
-    return standing if gain > BETTER else free
+    one = explained(hanging, 0)
+    if standing is hanging:
+        return one
+    other = explained(standing, ROUNDS)
+    if one is None or other is None:
+        return one or other
+    return other if agreement(other)[0] - agreement(one)[0] > BETTER else one
 
 
 def agreement(found: Found) -> tuple[float, float]:

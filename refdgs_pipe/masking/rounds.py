@@ -88,12 +88,12 @@ def solved(
     model: SparseModel,
     plane: tuple[F64, float],
     stands: Foot,
-    done: Callable[[], None],
+    begins: Callable[[], None],
     *,
     threads: int = 1,
     light: Lighting | None = None,
 ) -> Found | None:
-    """Masks of what stands on a plane, or None where nothing is found.
+    """Masks of what stands on a plane for one explanation of its foot; None if nothing is found.
 
     Each round tells from the plane, the room and the colours what each pixel shows, cuts every
     photo, and keeps of the solid what few photos deny.
@@ -101,7 +101,7 @@ def solved(
     Args:
         plane: unit normal and offset, world.
         stands: where the object stands, as far as the plane's picture tells.
-        done: called before each of the `ROUNDS` rounds; may raise.
+        begins: called before each of the `ROUNDS` rounds; may raise.
         threads: photos that are worked on at a time; the result does not depend on it.
         light: a flash, whose shadow moves with it, or a turntable; None for a still light.
     """
@@ -109,13 +109,13 @@ def solved(
     for level in LEVELS:
         worker = _Worker(views, model, plane, level, found, threads, stands, light)
         for deny in level.denials:
-            done()
+            begins()
             found = worker.round(found, deny)
             if found is None:
                 return None
         if found is not None and found.room is None:
             found = worker.with_room(found)
-    done()
+    begins()
     if found is None:
         return None
     return _Worker(views, model, plane, LAST, found, threads, stands, light).final(found)
@@ -174,6 +174,7 @@ class _Worker:
             table = self.table.found(self.shots)
             table.share[self.below] = 0  # what is seen there is no picture of the plane
             evidence = shown_plane(table, self.shots, None, seldom=FIRST_SELDOM)
+            known = [e.known for e in evidence]
             limits = [silhouette(self.cells, self.cells.inside, shot) for shot in self.shots]
             values = [
                 np.where(limit, e.value, np.float32(SURE))
@@ -182,10 +183,9 @@ class _Worker:
         else:
             told = self._evidence(found)
             limits = [np.ones(shot.valid.shape, bool) for shot in self.shots]
-            values, evidence = self._with_colours(told, found), list[Evidence](told)
+            values, known = self._with_colours(told, found), [one.known for one in told]
         masks = self._cuts(values)
         free = [m & limit for m, limit in zip(self._free(masks), limits, strict=True)]
-        known = [e.known for e in evidence]
         solid = agreed(self.cells, self.shots, free, known, self.normal, deny=deny)
         if solid.sum() < LEAST_CELLS:
             return None

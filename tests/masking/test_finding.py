@@ -28,10 +28,10 @@ def chosen(
     """What is found, and the progress that is told."""
 
     def solved(
-        views: Any, model: Any, plane: Any, stands: Foot, done: Callable[[], None], **more: Any
+        views: Any, model: Any, plane: Any, stands: Foot, begins: Callable[[], None], **more: Any
     ) -> Found | None:
         for _ in range(ROUNDS):
-            done()
+            begins()
         return free if stands.covered is None else standing
 
     monkeypatch.setattr(finding, "foot", lambda *a, **k: foot)
