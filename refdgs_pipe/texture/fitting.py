@@ -18,6 +18,7 @@ from refdgs_pipe.far_light import FarLight, ground_seen
 from refdgs_pipe.ground_light import GroundLight, at_roughness
 from refdgs_pipe.irradiance import Sky, links_of, look_around, spread
 from refdgs_pipe.light import Environment, blur, solid_angles
+from refdgs_pipe.texture.exposure import least_light
 from refdgs_pipe.texture.false_metal import false_metal
 from refdgs_pipe.texture.matrices import corner_matrix, look_matrix
 from refdgs_pipe.texture.mean_light import MeanLight
@@ -163,6 +164,7 @@ class _Problem:
         self.ground = ground
         self.height = len(light)
         self.told, self.known = ground_seen(ground, mesh.vertices, self.height)
+        self.least = least_light(ground, mesh.vertices, self.height)
         self.below: F32 | None = None
         if samples.ground is not None:
             beside = FarLight(self.told, self.known)
@@ -355,7 +357,9 @@ class _Problem:
         self, state: State, epochs: int, rate: float, progress: Callable[[int], None]
     ) -> State:
         """Adam on all unknowns, batch by batch."""
-        unknown = Unknown(state, balanced=self.below is not None)
+        # in brighter light less would be told metal: mirrors show lamps clipped
+        least = None if state.told_roughness is None else self.least
+        unknown = Unknown(state, balanced=self.below is not None, least=least)
         optimizer = torch.optim.Adam(unknown.groups(rate))
         links = torch.from_numpy(self.links)
         for epoch in range(epochs):

@@ -22,6 +22,7 @@ from refdgs_pipe.light import (
     solid_angles,
 )
 from refdgs_pipe.ops import srgb_curve
+from refdgs_pipe.texture.exposure import LeastLight
 from refdgs_pipe.texture.sampling import Samples, seen_roughness
 
 F32 = NDArray[np.float32]
@@ -62,9 +63,10 @@ class Unknown:
 
     Args:
         balanced: whether the light is held near white, because cameras balance photos so.
+        least: the least light from above; None: any.
     """
 
-    def __init__(self, state: State, *, balanced: bool) -> None:
+    def __init__(self, state: State, *, balanced: bool, least: LeastLight | None = None) -> None:
         def leaf(values: F32) -> Tensor:
             return torch.from_numpy(np.array(values, np.float32)).requires_grad_()
 
@@ -76,7 +78,7 @@ class Unknown:
         self.gain = leaf(np.log(state.gain))
         self.received = torch.from_numpy(state.received)
         self.told_metallic, self.told_roughness = state.told_metallic, state.told_roughness
-        self.told_tint, self.balanced = state.told_tint, balanced
+        self.told_tint, self.balanced, self.least = state.told_tint, balanced, least
 
     def groups(self, rate: float) -> list[dict[str, Any]]:
         fast, slow = [self.rough, self.metal], [self.light, self.tint, self.gain]
@@ -124,6 +126,8 @@ class Unknown:
         )
         if self.balanced:
             total = total + _WHITE * self._cast(height)
+        if self.least is not None:
+            total = total + self.least.missing(self.logs().exp())
         rough = SMOOTHEST + (1 - SMOOTHEST) * torch.sigmoid(self.rough)
         metal = torch.sigmoid(self.metal)
         for found, told in ((metal, self.told_metallic), (rough, self.told_roughness)):
