@@ -11,27 +11,27 @@ from typing import Any, TypeAlias
 from refdgs_pipe.checking.look import Look
 from refdgs_pipe.texture.settings import PAINTED_SIDE
 
-STEP_S, STEP_MPX_S = 0.1, 0.5  # of a step of training: whatever its size, and for each megapixel
+STEP_S, STEP_MPX_S = 0.02, 0.5  # of a step of training: whatever its size, and for each megapixel
 SURFELS = 60_000  # that this is for; a step's time goes with their number
 PLAIN = 0.6  # of it without reflections
 READ_MPX_S = 0.02  # to read a megapixel of a photo
 FEATURE_MPX_S, PAIR_S, PLACE_S = 1.0, 0.05, 0.5  # for a megapixel, a pair, a photo
 EXHAUSTIVE_UP_TO, PARTNERS = 150, 15  # photos; each photo's partners above
-SURFACE_S, TEXEL_S = 120.0, 15e-6  # mesh and materials; a texel of the textures
+SURFACE_S, TEXEL_S = 145.0, 15e-6  # mesh and materials; a texel of the textures
 LOOK_S = 0.3  # to compare the shape with a photo
 DETAIL_MPX_S, DETAIL_TEXEL_S = 1.2, 4e-7  # fine detail: a megapixel, and a texel, for each photo
 GATE_S, MASK_S = 8.0, 4.0  # to check the cameras; to find the object in a photo
 START_S, VOLUME_S = 30.0, 0.1  # to find a first shape, without masks; a step of the volume
 TRIAL_S = 0.035  # of a step of the trial of near-field features
 _SURFACE_SHARES = {
-    "extract": 0.08,
-    "clean": 0.03,
-    "fit": 0.09,
-    "appearance": 0.45,
-    "unwrap": 0.08,
-    "bake": 0.15,
-    "export": 0.04,
-    "evaluate": 0.08,
+    "extract": 0.05,
+    "clean": 0.02,
+    "fit": 0.05,
+    "appearance": 0.44,
+    "unwrap": 0.21,
+    "bake": 0.10,
+    "export": 0.025,
+    "evaluate": 0.105,
 }
 _TRAINED = ("start", "train", "shape", "refine")  # stages of training, as far as there are any
 SHARED = 0.93  # of a core's work that each further core adds

@@ -9,6 +9,7 @@ import os
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from math import exp, log
 from typing import TYPE_CHECKING
 
 from refdgs_pipe.cli.device import core_count
@@ -23,9 +24,12 @@ if TYPE_CHECKING:
 
 REPORT = "report"
 REPORT_S = 20.0  # core-seconds to draw it
-PRIOR_S = 15.0  # seconds of a machine as the model knows it, which the measured ones add to
+PRIOR_S = 40.0  # modelled seconds that the machine as it was before counts for, beside the measured
 LEAST_S = 0.5  # that a stage takes in a forecast
 BUSY = 2.0  # that people are told of
+# How much a stage tells about the machine. Placing takes as long as the photos are hard to place: it
+# differed by a factor of 2.3 where others differed by 1.3 (docs/experiments/time-estimates.md).
+TELLING = {"sfm": 0.1}
 OVERDUE = 0.2  # of the time a stage took so far: what it still takes when it should be over
 
 
@@ -42,13 +46,17 @@ class Forecast:
     modelled: dict[str, float]
     room: int | None = None
     busy: float = 1.0
-    _measured_s: float = 0.0
-    _model_s: float = 0.0
+    _weight: float = 0.0  # of what finished stages told
+    _told: float = 0.0  # the logarithm of the slowness, times that weight
 
     @property
     def slowness(self) -> float:
-        """How many times as long as in the model this machine takes now."""
-        return (PRIOR_S * self.busy + self._measured_s) / (PRIOR_S + self._model_s)
+        """How many times as long as in the model this machine takes now.
+
+        A mean of logarithms, weighted by the modelled time: a stage that took five times as long
+        says less about the others than five that took twice as long.
+        """
+        return exp((PRIOR_S * log(self.busy) + self._told) / (PRIOR_S + self._weight))
 
     def expect(self, stage: str) -> float:
         """Seconds of a stage that has not begun."""
@@ -58,8 +66,9 @@ class Forecast:
         """A stage is made. How long it took tells how fast the machine is."""
         modelled = self.modelled.pop(stage, None)
         if modelled:
-            self._measured_s += seconds
-            self._model_s += modelled
+            weight = modelled * TELLING.get(stage, 1.0)
+            self._told += weight * log(max(seconds, LEAST_S / 10) / modelled)
+            self._weight += weight
 
     def left_s(self, running: str, spent_s: float, told_s: float | None, *, sure: bool) -> float:
         """Seconds until the end of the run.

@@ -7,7 +7,7 @@ import pytest
 
 from refdgs_pipe.cli import console
 from refdgs_pipe.cli.console import Console, Estimate
-from refdgs_pipe.cli.forecast import Forecast
+from refdgs_pipe.cli.forecast import PRIOR_S, Forecast
 from refdgs_pipe.cli.logs import RunLog
 from refdgs_pipe.formatting import counted, duration, figure, roughly, size
 from refdgs_pipe.pipeline.catalog import STAGES
@@ -108,9 +108,15 @@ def test_a_part_of_a_stage_does_not_hide_the_parts_after_it() -> None:
 
 
 def test_a_slow_machine_makes_the_rest_of_the_forecast_longer() -> None:
-    whole = Forecast({"sfm": 100.0, "train": 300.0})
-    whole.finished("sfm", 300.0)
-    assert whole.expect("train") == pytest.approx(300.0 * 315 / 115)
+    whole = Forecast({"masks": 100.0, "train": 300.0})
+    whole.finished("masks", 300.0)
+    assert whole.expect("train") == pytest.approx(300.0 * 3 ** (100 / (100 + PRIOR_S)))
+
+
+def test_photos_that_are_hard_to_place_do_not_make_the_machine_slow() -> None:
+    whole = Forecast({"sfm": 50.0, "train": 300.0})
+    whole.finished("sfm", 600.0)
+    assert 300.0 < whole.expect("train") < 400.0
 
 
 def test_a_busy_machine_is_said_and_counted() -> None:
