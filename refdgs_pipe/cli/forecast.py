@@ -27,7 +27,7 @@ REPORT_S = 20.0  # core-seconds to draw it
 PRIOR_S = 40.0  # modelled seconds that the machine as it was before counts for, beside the measured
 LEAST_S = 0.5  # that a stage takes in a forecast
 BUSY = 2.0  # that people are told of
-# How much a stage tells about the machine. Placing takes as long as the photos are hard to place: it
+# How much a stage tells about the machine. Placing takes as long as photos are hard to place: it
 # differed by a factor of 2.3 where others differed by 1.3 (docs/experiments/time-estimates.md).
 TELLING = {"sfm": 0.1}
 OVERDUE = 0.2  # of the time a stage took so far: what it still takes when it should be over
