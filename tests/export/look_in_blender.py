@@ -9,6 +9,7 @@ it sees is printed too.
 """
 
 import json
+import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -104,4 +105,5 @@ if __name__ == "__main__":
     elif len(names) > 1:
         sides = [tuple(float(x) for x in name.split(",")) for name in names[1:]]
         record["light"] = [light_from(side) for side in sides]  # type: ignore[arg-type]
-    print("\nRECORD", json.dumps(record))
+    print("\nRECORD", json.dumps(record), flush=True)
+    os._exit(0)  # bpy 4.2 as a module crashes at its end once its import of glTF was used
