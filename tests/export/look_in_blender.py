@@ -72,6 +72,11 @@ def frames() -> list[list[float]]:
 
 def light_from(direction: tuple[float, float, float]) -> float:
     """Mean linear radiance that a camera in the origin sees there, the mesh left out."""
+    return sum(light_of(direction)) / 3
+
+
+def light_of(direction: tuple[float, ...]) -> list[float]:
+    """The same for red, green and blue."""
     x, y, z = direction
     toward = Vector((x, -z, y))  # Blender has z up
     for thing in list(bpy.data.objects):
@@ -93,7 +98,7 @@ def light_from(direction: tuple[float, float, float]) -> float:
     scene.render.filepath = str(target)
     bpy.ops.render.render(write_still=True)
     pixels = list(bpy.data.images.load(str(target)).pixels)
-    return sum(pixels[i] for i in range(len(pixels)) if i % 4 < 3) / (len(pixels) * 3 / 4)
+    return [sum(pixels[i::4]) / (len(pixels) / 4) for i in range(3)]
 
 
 if __name__ == "__main__":
