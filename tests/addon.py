@@ -3,8 +3,13 @@
 import importlib
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
+
+from scenes import orbit
+
+from refdgs_pipe.camera import Camera
 
 ROOT = Path(__file__).parent.parent
 BUILDER = ROOT / "examples" / "blender" / "build.py"
@@ -82,6 +87,16 @@ def fake_program(folder: Path) -> Path:
     program.write_text(f"#!{sys.executable}\n{FAKE}", "utf-8")
     program.chmod(0o755)
     return program
+
+
+def shifted() -> list[Camera]:
+    """Cameras of 200 x 160 and 120 x 160 pixels, whose axes do not pass through the middle."""
+    made = []
+    for camera, width, cx, cy in zip(orbit(2), (200, 120), (90.0, 66.0), (85.0, 70.0), strict=True):
+        K = camera.K.copy()
+        K[:2, 2] = cx, cy
+        made.append(replace(camera, width=width, K=K))
+    return made
 
 
 def wait_for(found: object, timeout_s: float = 30.0) -> object:

@@ -8,15 +8,13 @@ import subprocess
 import sys
 import tomllib
 import zipfile
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from addon import BUILDER, ROOT, SOURCE, fake_program, module, wait_for
+from addon import BUILDER, ROOT, SOURCE, fake_program, module, shifted, wait_for
 from painted import textured
-from scenes import orbit
 
 from refdgs_pipe import recipe
 from refdgs_pipe.cli.logs import RunLog
@@ -318,16 +316,6 @@ def scene(tmp_path: Path) -> Path:
         write(tmp_path, made)
     write_scene(tmp_path, shifted(), AssetFrame.of(UP, 0.1), made.about)
     return tmp_path / "scene.usda"
-
-
-def shifted() -> list[Any]:
-    """Cameras of 200 x 160 and 120 x 160 pixels."""
-    made = []
-    for camera, width, cx, cy in zip(orbit(2), (200, 120), (90.0, 66.0), (85.0, 70.0), strict=True):
-        K = camera.K.copy()
-        K[:2, 2] = cx, cy
-        made.append(replace(camera, width=width, K=K))
-    return made
 
 
 def test_a_camera_of_a_photo_sees_a_point_where_the_photo_has_it(scene: Path) -> None:

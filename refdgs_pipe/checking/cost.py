@@ -1,7 +1,7 @@
 """About how long a run takes, and how much room it needs. A rough model, and said to be one.
 
-Core-seconds, from the runs in docs/training.md, "Whole runs" and "Photos without masks", and from
-docs/performance.md, "Whole steps". They were measured on cores with AVX-512; others take longer.
+Core-seconds, from the runs in docs/training.md, "Whole runs" and "Photos without masks", and in
+docs/experiments/time-estimates.md. They were measured on cores with AVX-512; others take longer.
 """
 
 from collections.abc import Mapping

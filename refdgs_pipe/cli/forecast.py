@@ -24,10 +24,10 @@ if TYPE_CHECKING:
 
 REPORT = "report"
 REPORT_S = 20.0  # core-seconds to draw it
-PRIOR_S = 40.0  # modelled seconds that the machine as it was before counts for, beside the measured
+PRIOR_S = 40.0  # modelled seconds for which the machine's load before the run counts
 LEAST_S = 0.5  # that a stage takes in a forecast
 BUSY = 2.0  # that people are told of
-# How much a stage tells about the machine. Placing takes as long as photos are hard to place: it
+# The weight of a stage, if it is not 1. How long photos take to place depends on the photos: it
 # differed by a factor of 2.3 where others differed by 1.3 (docs/experiments/time-estimates.md).
 TELLING = {"sfm": 0.1}
 OVERDUE = 0.2  # of the time a stage took so far: what it still takes when it should be over
@@ -53,8 +53,8 @@ class Forecast:
     def slowness(self) -> float:
         """How many times as long as in the model this machine takes now.
 
-        A mean of logarithms, weighted by the modelled time: a stage that took five times as long
-        says less about the others than five that took twice as long.
+        The mean of the stages' logarithms, weighted by their modelled time. So one stage that took
+        five times as long does not make the whole machine five times as slow.
         """
         return exp((PRIOR_S * log(self.busy) + self._told) / (PRIOR_S + self._weight))
 

@@ -27,19 +27,22 @@ _KNOWN = 0.5  # share of a cell of the ground that photos must show
 
 @dataclass(frozen=True)
 class LeastLight:
-    """The least light that a matte surface facing up receives.
+    """The least light that reaches a matte surface that faces up.
 
     Args:
-        weights: (H * 2H,) of the far light's texels in what such a surface receives; their sum is
-            one.
-        least: linear radiance that it shows at least if it is white.
+        weights: (H * 2H,) how much each texel of the far light counts there; their sum is one.
+        least: the linear radiance that the surface shows at least, if it is white.
     """
 
     weights: F32
     least: float
 
     def missing(self, light: Tensor) -> Tensor:
-        """The loss for too little light; light: (H * 2H, 3) linear radiance."""
+        """The loss for too little light, a number.
+
+        Args:
+            light: (H * 2H, 3) linear radiance.
+        """
         received = (torch.from_numpy(self.weights)[:, None] * light).sum(0).mean()
         return _HELD * (float(np.log(self.least)) - received.log()).clamp(min=0) ** 2
 

@@ -357,7 +357,7 @@ class _Problem:
         self, state: State, epochs: int, rate: float, progress: Callable[[int], None]
     ) -> State:
         """Adam on all unknowns, batch by batch."""
-        # in brighter light less would be told metal: mirrors show lamps clipped
+        # not before metal is told: brighter light hides it, because mirrors show lamps clipped
         least = None if state.told_roughness is None else self.least
         unknown = Unknown(state, balanced=self.below is not None, least=least)
         optimizer = torch.optim.Adam(unknown.groups(rate))

@@ -6,7 +6,6 @@ import runpy
 import shutil
 import subprocess
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +13,9 @@ import cv2
 import finished
 import numpy as np
 import pytest
-from addon import BUILDER, fake_program
+from addon import BUILDER, fake_program, shifted
 from painted import textured
-from scenes import orbit
 
-from refdgs_pipe.camera import Camera
 from refdgs_pipe.export.files import Surroundings, writers
 from refdgs_pipe.export.frame import AssetFrame, latlong_directions
 from refdgs_pipe.export.product import product
@@ -30,16 +27,6 @@ SCRIPT = Path(__file__).parent / "addon_in_blender.py"
 NAME = "my cup é"  # of the folder of photos
 
 
-def views() -> list[Camera]:
-    """A wide and a high one, whose axes do not pass through the middle of their pictures."""
-    made = []
-    for camera, width, cx, cy in zip(orbit(2), (200, 120), (90.0, 66.0), (85.0, 70.0), strict=True):
-        K = camera.K.copy()
-        K[:2, 2] = cx, cy
-        made.append(replace(camera, width=width, K=K))
-    return made
-
-
 @pytest.fixture(scope="module")
 def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A finished workspace. Its light has the colour (1 + direction) / 2 in each direction."""
@@ -47,7 +34,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     mesh = textured(64)
     object.__setattr__(mesh.mesh, "vertices", mesh.mesh.vertices * np.float32([2, 1, 1]))
     light = (0.5 + 0.5 * latlong_directions(64)).astype(np.float32)
-    around = Surroundings(FRAME, light, views(), finished.field().geometry)
+    around = Surroundings(FRAME, light, shifted(), finished.field().geometry)
     (root / "asset").mkdir(parents=True)
     made = product(mesh, up=UP, metres_per_unit=0.1)
     for write in writers(around, preview=64):
@@ -56,7 +43,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (pictures / "images").mkdir(parents=True)
     (root / "ingest" / ".current").write_text(pictures.name)
     records = []
-    for camera in views():
+    for camera in shifted():
         file = f"images/{camera.name}.png"
         done = cv2.imwrite(
             str(pictures / file), np.zeros((camera.height, camera.width, 3), np.uint8)
@@ -96,7 +83,7 @@ def blender(tmp_path: Path, **tasks: Any) -> dict[str, Any]:
 
 def test_asset_light_and_cameras_arrive_in_one_frame(root: Path, tmp_path: Path) -> None:
     sides = [[1, 0, 0], [-1, 0, 0], [0, 0, 1], [0, 0, -1], [0.6, 0.64, 0.48], [0.48, -0.64, -0.6]]
-    sizes = {camera.name: [camera.width, camera.height] for camera in views()}
+    sizes = {camera.name: [camera.width, camera.height] for camera in shifted()}
     tasks = {"workspace": str(root), "bring_in": True, "directions": sides, "sizes": sizes}
     record = blender(tmp_path, **tasks)
     found = record["import"]
@@ -113,7 +100,7 @@ def test_asset_light_and_cameras_arrive_in_one_frame(root: Path, tmp_path: Path)
     np.testing.assert_allclose(high, [0.2, 0.1, 0.2], atol=2e-4)
     # cameras: a corner of the mesh is where the photo has it; GLB and USD have 32 bits
     world = (np.array(found["corners"]) @ [[1, 0, 0], [0, 0, -1], [0, 1, 0]]) @ FRAME.turn / 0.1
-    for camera in views():
+    for camera in shifted():
         np.testing.assert_allclose(
             found["pixels"][camera.name], camera.project(world)[0], atol=0.02, err_msg=camera.name
         )

@@ -1,6 +1,7 @@
 """The buttons and the panel in the sidebar of the 3D view."""
 
 import textwrap
+from collections.abc import Callable
 from typing import Any
 
 import bpy
@@ -16,11 +17,15 @@ COLUMNS = 44  # characters of a line of the panel
 Answer = set[str]
 
 
-def _failed(operator: Any, error: AddonError) -> Answer:
-    """Report an error, and keep it for the panel."""
-    STATE.error = str(error)
-    operator.report({"ERROR"}, STATE.error)
-    return {"CANCELLED"}
+def _answer(operator: Any, act: Callable[[], object]) -> Answer:
+    """Do what a button is for. An error is reported, and kept for the panel."""
+    try:
+        act()
+    except AddonError as error:
+        STATE.error = str(error)
+        operator.report({"ERROR"}, STATE.error)
+        return {"CANCELLED"}
+    return {"FINISHED"}
 
 
 class RefdgsRun(bpy.types.Operator):
@@ -36,11 +41,7 @@ class RefdgsRun(bpy.types.Operator):
 
     def execute(self, context: Any) -> Answer:
         """Start it."""
-        try:
-            running.start(context)
-        except AddonError as error:
-            return _failed(self, error)
-        return {"FINISHED"}
+        return _answer(self, lambda: running.start(context))
 
 
 class RefdgsStop(bpy.types.Operator):
@@ -56,11 +57,7 @@ class RefdgsStop(bpy.types.Operator):
 
     def execute(self, context: Any) -> Answer:
         """Ask it to stop."""
-        try:
-            running.stop()
-        except AddonError as error:
-            return _failed(self, error)
-        return {"FINISHED"}
+        return _answer(self, running.stop)
 
 
 class RefdgsImport(bpy.types.Operator):
@@ -72,20 +69,18 @@ class RefdgsImport(bpy.types.Operator):
 
     def execute(self, context: Any) -> Answer:
         """Import what the boxes say."""
+        return _answer(self, lambda: self._import(context))
+
+    def _import(self, context: Any) -> None:
         settings = context.scene.refdgs_pipe
         wanted = Wanted(settings.asset, settings.light, settings.cameras)
-        try:
-            root = root_for(typed(settings.photos), typed(settings.workspace))
-            said = bring_in(context, asset_of(root), wanted)
-        except AddonError as error:
-            return _failed(self, error)
-        STATE.error, STATE.result = "", said
-        self.report({"INFO"}, said)
-        return {"FINISHED"}
+        root = root_for(typed(settings.photos), typed(settings.workspace))
+        STATE.error, STATE.result = "", bring_in(context, asset_of(root), wanted)
+        self.report({"INFO"}, STATE.result)
 
 
 class RefdgsTell(bpy.types.Operator):
-    """Report the end of a run. It waits for one event: only then does Blender show a report."""
+    """Report the end of a run. It waits for an event, without which Blender shows no report."""
 
     bl_idname = "refdgs_pipe.tell"
     bl_label = "refdgs-pipe"

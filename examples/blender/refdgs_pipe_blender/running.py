@@ -20,8 +20,10 @@ EVERY_S = 0.5
 class State:
     """What the panel shows.
 
-    Args of its own: `job`, the run that is going on, or None; `error`, the last error, one
-    sentence; `result`, how the last run ended well.
+    Attributes:
+        job: the run that is going on, or None.
+        error: the last error, one sentence; "" if there is none.
+        result: how the last run or import ended, if it went well; else "".
     """
 
     job: Job | None = None
