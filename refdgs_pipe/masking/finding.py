@@ -12,7 +12,7 @@ from refdgs_pipe.camera import F64
 from refdgs_pipe.masking.foot import Foot, foot
 from refdgs_pipe.masking.rounds import ROUNDS, Found, solved
 
-BETTER = 0.015  # agreement: a foot where nothing proves the plane has to gain that much
+BETTER = 0.005  # agreement: a foot where nothing proves the plane has to gain that much
 
 
 def object_masks(

@@ -17,8 +17,8 @@ DOUBTFUL = np.eye(4, dtype=bool)
 
 
 def found(same: int) -> Found:
-    """Masks of 100 pixels, of which so many agree with the solid."""
-    mask, outline = np.ones((1, 100), np.float32), np.arange(100)[None] < same
+    """Masks of 1000 pixels, of which so many agree with the solid."""
+    mask, outline = np.ones((1, 1000), np.float32), np.arange(1000)[None] < same
     return Found([mask], [outline], None, 1.0, BALL)
 
 
@@ -43,27 +43,29 @@ def chosen(
     return out, told
 
 
-@pytest.mark.parametrize(("free", "standing", "wins"), [(95, 96, 95), (91, 96, 96), (96, 93, 96)])
+@pytest.mark.parametrize(
+    ("free", "standing", "wins"), [(950, 953, 950), (950, 960, 960), (960, 930, 960)]
+)
 def test_a_foot_without_proof_has_to_make_the_masks_agree_better(
     monkeypatch: pytest.MonkeyPatch, free: int, standing: int, wins: int
 ) -> None:
     foot = Foot([], unproven=DOUBTFUL, radius=1.0)
     out, told = chosen(monkeypatch, found(free), found(standing), foot)
     assert out is not None
-    assert agreement(out)[0] == pytest.approx(wins / 100)
+    assert agreement(out)[0] == pytest.approx(wins / 1000)
     assert told[-1] == (2 * ROUNDS - 1, 2 * ROUNDS)
     assert [done for done, _ in told] == sorted(done for done, _ in told)
 
 
 def test_what_only_one_explanation_finds_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     foot = Foot([], unproven=DOUBTFUL, radius=1.0)
-    for pair in ((None, found(90)), (found(90), None)):
+    for pair in ((None, found(900)), (found(900), None)):
         assert chosen(monkeypatch, *pair, foot)[0] in pair
     assert chosen(monkeypatch, None, None, foot)[0] is None
 
 
 def test_a_foot_without_doubt_is_solved_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    out, told = chosen(monkeypatch, found(95), found(99), Foot([]))
+    out, told = chosen(monkeypatch, found(950), found(990), Foot([]))
     assert out is not None and agreement(out)[0] == pytest.approx(0.95)
     assert told[-1] == (ROUNDS - 1, ROUNDS)
 
