@@ -14,7 +14,7 @@ from refdgs_pipe.masking.levels import LEVELS
 from refdgs_pipe.masking.plain import plain_bodies
 from refdgs_pipe.masking.repeating import covered, lattice
 from refdgs_pipe.masking.table import TOLERANCES, Table
-from refdgs_pipe.masking.unproven import proven, shown_from, unproven
+from refdgs_pipe.masking.unproven import proven, shown_from, unproven, without_ground
 from refdgs_pipe.masking.walls import Wall, footprint, mirror_walls
 
 WIDE = 2.2  # radii of the ball that the plane's picture reaches at first
@@ -102,8 +102,9 @@ def foot(
         sure = doubtful = None
         if not flash:
             towards = shown_from(table.colour, seen, ground, centers)
-            doubtful = unproven(*given, towards) & ~there
             sure = proven(towards)
+            there = without_ground(there, sure)
+            doubtful = unproven(*given, towards) & ~there
         walls = mirror_walls(table, seen, centers, ball.radius)
         found = Foot(walls, there if there.any() else None, ground.radius, hangs, sure)
         return (

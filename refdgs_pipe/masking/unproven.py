@@ -29,6 +29,7 @@ ALIKE = 0.5  # mean share of the photos that have to agree on the colour of a pa
 ONCE = 0.05  # share of the cells inside a part, at most, whose texture any photo shows
 LEAK = 3  # cells by which the texture of its own edge proves a foot's inside
 AROUND, PROVEN = 0.25, 0.4  # ball radii round the places, and the share of it that is proven
+GROUND = 0.9  # share of the cells of a part, from which on proven texture says that it is ground
 
 
 def unproven(
@@ -73,6 +74,21 @@ def proven(towards: Bools) -> Bools:
         for j in range(i + APART, min(SECTORS, i + SECTORS - APART + 1)):
             found |= towards[i] & towards[j]
     return found
+
+
+def without_ground(bodies: Bools, sure: Bools) -> Bools:
+    """(n, n) the bodies, without the parts that have the plane's texture all over.
+
+    A light tile in the shade of a body has one colour, and the body hides what lies round it, as if
+    the tile were a plain foot. But photos from several sides agree on the joints between tiles.
+
+    Args:
+        sure: (n, n) of `proven`.
+    """
+    count, parts = cv2.connectedComponents(bodies.astype(np.uint8))
+    sizes = np.maximum(np.bincount(parts.ravel(), minlength=count), 1)
+    ground = np.bincount(parts.ravel(), sure.ravel(), count) / sizes > GROUND
+    return np.asarray(bodies & ~ground[parts])
 
 
 def shown_from(colour: F32, seen: F32, ground: Ground, centers: F64) -> Bools:

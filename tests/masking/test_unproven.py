@@ -7,7 +7,15 @@ from boxes import BODY, GROUND, REACH, TABLE, WHITE, Box, N, cameras, shown
 
 from refdgs_pipe.ground.shots import F32, Bools
 from refdgs_pipe.masking.beyond import LEAST, _proof
-from refdgs_pipe.masking.unproven import LEAK, _misleading, below, proven, shown_from, unproven
+from refdgs_pipe.masking.unproven import (
+    LEAK,
+    _misleading,
+    below,
+    proven,
+    shown_from,
+    unproven,
+    without_ground,
+)
 
 # Its lower half has the mean colour of the table, as a blurred reflection of it has.
 GREY: Box = ((-0.4, -0.3, 0.0), (0.4, 0.3, 0.35), TABLE)
@@ -56,6 +64,15 @@ def test_texture_at_the_edge_of_a_part_does_not_speak_against_a_foot() -> None:
     core = cv2.distanceTransform(part.astype(np.uint8), cv2.DIST_L2, 5) > LEAK
     assert (_misleading(part, colour, seen, part & ~core) == part).all()
     assert not _misleading(part, colour, seen, part).any()
+
+
+def test_a_part_with_the_planes_texture_all_over_is_no_body() -> None:
+    bodies, sure = np.zeros((2, 20, 20), bool)
+    bodies[2:8, 2:8] = bodies[12:18, 12:18] = True
+    sure[:10], sure[12:14] = True, True  # the plane's texture leaks into a third of a body
+    kept = without_ground(bodies, sure)
+    assert not kept[:10].any()
+    np.testing.assert_array_equal(kept[10:], bodies[10:])
 
 
 def test_nothing_is_found_on_an_empty_plane_nor_below_what_hangs_high() -> None:
