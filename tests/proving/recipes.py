@@ -130,6 +130,11 @@ RECIPES = {
     "beacon": Recipe(k.lamp, p.mosaic, "studio", b.from_low, seed=926, photos=24),
     "ware": Recipe(k.vase, p.stone, "studio", p.rings, seed=928, checking=True),
     "hound": Recipe(s.dog, p.planks, "office", p.rings, seed=901),
+    "alarm": Recipe(d.clock, p.mosaic, "office", p.rings, seed=1309),
+    "ticker": Recipe(d.clock, p.mosaic, "attic", p.spiral, seed=1310, checking=True),
+    "chalice": Recipe(m.trophy, p.stone, "room_b", p.rings, seed=1306, checking=True),
+    "monitor": Recipe(d.screen, p.planks, "room_b", p.rings, seed=1205, checking=True),
+    "lollipop": Recipe(k.globe, p.planks, "studio", p.rings, seed=1203, checking=True),
     "mat": Recipe(k.vase, p.placemat, "attic", p.spiral, seed=81, checking=True),
     "label": Recipe(
         w.medicine,
