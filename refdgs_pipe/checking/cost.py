@@ -33,6 +33,7 @@ _SURFACE_SHARES = {
     "export": 0.025,
     "evaluate": 0.105,
 }
+_FIRST_MESH = ("extract", "clean", "fit")  # what the stage `shape` does as well
 _TRAINED = ("start", "train", "shape", "refine")  # stages of training, as far as there are any
 SHARED = 0.93  # of a core's work that each further core adds
 PNG_BYTES, FIXED_BYTES = 2.0, 150e6  # of a pixel; surfels, meshes, textures and files
@@ -108,7 +109,12 @@ def works(size: Capture, settings: Settings) -> dict[str, float]:
     if not size.has_masks:
         work["masks"] = count * MASK_S
     work |= _training(size, settings)
-    work |= {stage: SURFACE_S * share for stage, share in _SURFACE_SHARES.items()}
+    surface = {stage: SURFACE_S * share for stage, share in _SURFACE_SHARES.items()}
+    if work.get("refine"):  # training goes on from a first mesh
+        work["shape"] = sum(surface[stage] for stage in _FIRST_MESH)
+    if not settings["train"].reflection:  # all that the surface shows is its own colour
+        del surface["appearance"]
+    work |= surface
     work["bake"] += _baking(size, settings)
     return work
 

@@ -93,6 +93,19 @@ def test_the_trial_of_near_field_features_takes_its_time() -> None:
     assert train("train.reflection=false") == pytest.approx(cost.PLAIN * (train() - trial))
 
 
+def test_a_first_mesh_takes_its_time_only_if_training_goes_on_from_it() -> None:
+    models = {stage.name: stage.params for stage in load_stages()}
+    size = Capture(30, 12.0, 0.75, is_known=False, has_masks=True)
+    glossy, preview, matte = (
+        works(size, recipe.resolve(recipe.load(name), [], models))
+        for name in ("glossy", "preview", "matte")
+    )
+    mesh = glossy["extract"] + glossy["clean"] + glossy["fit"]
+    assert glossy["shape"] == matte["shape"] == pytest.approx(mesh)
+    assert "shape" not in preview
+    assert glossy["appearance"] > 0 and "appearance" not in matte
+
+
 def test_an_idle_machine_is_not_called_busy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module.os, "getloadavg", lambda: (0.2, 0.2, 0.2))
     assert module._busy() == 1.0
