@@ -8,6 +8,8 @@ The places below an object are found by what it hides. A point above the plane i
 photos do not see the plane behind it.
 """
 
+from typing import Any
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +31,7 @@ ALIKE = 0.5  # mean share of the photos that have to agree on the colour of a pa
 ONCE = 0.05  # share of the cells inside a part, at most, whose texture any photo shows
 LEAK = 3  # cells by which the texture of its own edge proves a foot's inside
 AROUND, PROVEN = 0.25, 0.4  # ball radii round the places, and the share of it that is proven
-GROUND = 0.9  # share of the cells of a part, from which on proven texture says that it is ground
+GROUND = 0.9  # share of a part's cells with proven texture, above which the part is ground
 
 
 def unproven(
@@ -86,8 +88,7 @@ def without_ground(bodies: Bools, sure: Bools) -> Bools:
         sure: (n, n) of `proven`.
     """
     count, parts = cv2.connectedComponents(bodies.astype(np.uint8))
-    sizes = np.maximum(np.bincount(parts.ravel(), minlength=count), 1)
-    ground = np.bincount(parts.ravel(), sure.ravel(), count) / sizes > GROUND
+    ground = _means(sure, parts, count) > GROUND
     return np.asarray(bodies & ~ground[parts])
 
 
@@ -152,14 +153,18 @@ def _misleading(found: Bools, colour: F32, seen: F32, once: Bools) -> Bools:
     near = (np.abs(seen - colour).max(-1) < TOLERANCES[1]) & known
     share = near.sum(0) / np.maximum(known.sum(0), 1)
     count, parts = cv2.connectedComponents(found.astype(np.uint8))
-    sizes = np.maximum(np.bincount(parts.ravel(), minlength=count), 1)
-    alike = np.bincount(parts.ravel(), share.ravel(), count) / sizes
+    alike = _means(share, parts, count)
     inside = np.where(cv2.erode(found.astype(np.uint8), _disc(2 * LEAK + 1)) > 0, parts, 0)
-    cells = np.maximum(np.bincount(inside.ravel(), minlength=count), 1)
-    shown = np.bincount(inside.ravel(), once.ravel(), count) / cells
+    shown = _means(once, inside, count)
     wanted = (alike >= ALIKE) & (shown <= ONCE)
     wanted[0] = False
     return np.asarray(wanted[parts])
+
+
+def _means(values: NDArray[Any], parts: NDArray[Any], count: int) -> F64:
+    """(count,) the mean of `values` (n, n) over each of the numbered `parts` (n, n); 0 if empty."""
+    cells = np.maximum(np.bincount(parts.ravel(), minlength=count), 1)
+    return np.asarray(np.bincount(parts.ravel(), values.ravel(), count) / cells)
 
 
 def _disc(width: float) -> NDArray[np.uint8]:

@@ -52,14 +52,21 @@ def test_two_cores_take_about_half_as_long(space: Workspace) -> None:
     assert two.modelled["bake"] == pytest.approx(seconds_of(one.modelled["bake"], 2))
 
 
+def work(name: str, size: Capture, *changes: str) -> dict[str, float]:
+    """What the stages of a recipe take, core-seconds."""
+    models = {stage.name: stage.params for stage in load_stages()}
+    return works(size, recipe.resolve(recipe.load(name), changes, models))
+
+
+def with_masks() -> Capture:
+    return Capture(30, 12.0, 0.75, is_known=False, has_masks=True)
+
+
 def test_fine_detail_takes_longer_the_more_photos_there_are() -> None:
     """The textures of the recipe detail are larger, and every photo is looked at again."""
 
-    models = {stage.name: stage.params for stage in load_stages()}
-
     def bake(name: str, photos: int) -> float:
-        size = Capture(photos, 12.0, 0.75, is_known=False, has_masks=False)
-        return works(size, recipe.resolve(recipe.load(name), [], models))["bake"]
+        return work(name, Capture(photos, 12.0, 0.75, is_known=False, has_masks=False))["bake"]
 
     looked = bake("glossy", 60) - bake("glossy", 20)
     assert looked == pytest.approx(40 * cost.LOOK_S)
@@ -71,21 +78,13 @@ def test_fine_detail_takes_longer_the_more_photos_there_are() -> None:
 
 
 def test_a_first_shape_takes_longer_with_more_steps_of_the_volume() -> None:
-    models = {stage.name: stage.params for stage in load_stages()}
-    size = Capture(30, 12.0, 0.75, is_known=False, has_masks=True)
-    preview, glossy = (
-        works(size, recipe.resolve(recipe.load(name), [], models))["start"]
-        for name in ("preview", "glossy")
-    )
+    preview, glossy = (work(name, with_masks())["start"] for name in ("preview", "glossy"))
     assert glossy == pytest.approx(1200 * cost.VOLUME_S) and glossy == pytest.approx(2 * preview)
 
 
 def test_the_trial_of_near_field_features_takes_its_time() -> None:
-    models = {stage.name: stage.params for stage in load_stages()}
-    size = Capture(30, 12.0, 0.75, is_known=False, has_masks=True)
-
     def train(*changes: str) -> float:
-        return works(size, recipe.resolve(recipe.load("preview"), changes, models))["train"]
+        return work("preview", with_masks(), *changes)["train"]
 
     trial = train() - train("train.local_trial_steps=0")
     assert trial == pytest.approx(2 * 1200 * cost.TRIAL_S)
@@ -94,16 +93,15 @@ def test_the_trial_of_near_field_features_takes_its_time() -> None:
 
 
 def test_a_first_mesh_takes_its_time_only_if_training_goes_on_from_it() -> None:
-    models = {stage.name: stage.params for stage in load_stages()}
-    size = Capture(30, 12.0, 0.75, is_known=False, has_masks=True)
-    glossy, preview, matte = (
-        works(size, recipe.resolve(recipe.load(name), [], models))
-        for name in ("glossy", "preview", "matte")
-    )
+    glossy, preview, matte = (work(name, with_masks()) for name in ("glossy", "preview", "matte"))
     mesh = glossy["extract"] + glossy["clean"] + glossy["fit"]
     assert glossy["shape"] == matte["shape"] == pytest.approx(mesh)
     assert "shape" not in preview
-    assert glossy["appearance"] > 0 and "appearance" not in matte
+
+
+def test_without_reflections_there_are_no_materials_to_find() -> None:
+    assert work("glossy", with_masks())["appearance"] > 0
+    assert "appearance" not in work("matte", with_masks())
 
 
 def test_an_idle_machine_is_not_called_busy(monkeypatch: pytest.MonkeyPatch) -> None:
