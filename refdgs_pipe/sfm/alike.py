@@ -20,7 +20,7 @@ from refdgs_pipe.camera import F64, Camera
 
 Ints = NDArray[np.int64]
 
-CLOSE_DEG = 15.0  # between the rays of two photos to the points that both see, in the median
+CLOSE_DEG = 15.0  # between two photos, as `_Pair.angle` has it
 SHARED = 10  # points that two photos have to share
 SIDE = 800  # pixels, of the photos that are compared
 NARROW_DEG = 10.0  # between which and CLOSE_DEG the object hides much of what both could show
@@ -103,12 +103,22 @@ def times_as_far(one: Camera, other: Camera, points: F64) -> float:
     return float(np.median(away[0] / np.maximum(away[1], 1e-12)))
 
 
+def turned_deg(one: Camera, other: Camera, middle: F64) -> float:
+    """The angle between the directions from a point to two cameras, degrees."""
+    away = np.stack([one.center, other.center]) - middle
+    lengths = np.maximum(np.linalg.norm(away, axis=1), 1e-12)
+    cosine = float(away[0] @ away[1] / (lengths[0] * lengths[1]))
+    return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
+
+
 @dataclass(frozen=True)
 class _Pair:
     """Two close photos.
 
     Args:
-        angle: between their rays to the points that both see, degrees, in the median.
+        angle: between their rays to the points that both see, degrees, in the median; or how far
+            the one is turned from the other about the object, where that is more. What both see of
+            a far wall lies in nearly the same direction for photos of different sides.
         farther: how many times as far the first is from these points.
         shared, rest: rows of points that both see, and that the first sees alone.
     """
@@ -135,6 +145,7 @@ def _close(model: SparseModel) -> list[_Pair]:
                 np.linalg.norm(rays[0], axis=1) * np.linalg.norm(rays[1], axis=1), 1e-12
             )
             angle = float(np.degrees(np.arccos(np.clip(np.median(cosine), -1, 1))))
+            angle = max(angle, turned_deg(one, other, model.ball.center))
             if angle < CLOSE_DEG:
                 rest = _some(np.setdiff1d(a, b))
                 farther = times_as_far(one, other, model.points[shared])

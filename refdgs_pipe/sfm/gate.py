@@ -15,7 +15,7 @@ from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import F64, Camera
 from refdgs_pipe.errors import PoseError
-from refdgs_pipe.sfm.alike import AS_FAR, Agreement, agreement, times_as_far
+from refdgs_pipe.sfm.alike import AS_FAR, Agreement, agreement, times_as_far, turned_deg
 from refdgs_pipe.sfm.gaps import gaps_of
 from refdgs_pipe.sfm.posed import model_from_poses
 from refdgs_pipe.sfm.trust import conflict, groups, reasons
@@ -26,7 +26,7 @@ ASIDE = 1.25  # of the angle from the axis to the photo's corner, beyond which t
 CONFLICT = 0.6  # of the matches between placed photos that may contradict the places
 HELD_CONFLICT = 0.75  # in the pairs that the mapper did not get; they are few
 HELD_PAIRS = 5
-CLOSE_DEG = 10.0  # between the rays of two photos that should look nearly alike
+CLOSE_DEG = 10.0  # between two photos that should look nearly alike, seen from what they show
 CLOSE_PAIRS = 5
 CLOSE_SHARE = 0.09  # of the features in the one with fewer, that such photos share
 APART = 0.1  # of the photos' distance from their middle, between two solutions
@@ -250,7 +250,8 @@ def _alike(model: SparseModel, evidence: Evidence) -> list[Check]:
 
     Args:
         model: the photos that are trusted; pairs of others do not count, and pairs of a close-up
-            and a photo from afar, which shows more, and coarser.
+            and a photo from afar, which shows more, and coarser. Nor do photos of different sides
+            that share a far wall, whose rays to it are nearly parallel.
     """
     a, b = evidence.pairs.T
     cameras = {f"{camera.name}.png": camera for camera in model.cameras}
@@ -259,7 +260,7 @@ def _alike(model: SparseModel, evidence: Evidence) -> list[Check]:
     close = (evidence.angle < CLOSE_DEG) & (evidence.shared >= BRIDGE)
     close &= kept[a] & kept[b] & ~np.isnan(evidence.agree)
     close[close] = [
-        _as_far(model, cameras[names[i]], cameras[names[j]])
+        _as_near(model, cameras[names[i]], cameras[names[j]])
         for i, j in zip(a[close], b[close], strict=True)
     ]
     if close.sum() < CLOSE_PAIRS:
@@ -277,8 +278,10 @@ def _alike(model: SparseModel, evidence: Evidence) -> list[Check]:
     ]
 
 
-def _as_far(model: SparseModel, one: Camera, other: Camera) -> bool:
-    """Whether both photos are about as far from the points that both see."""
+def _as_near(model: SparseModel, one: Camera, other: Camera) -> bool:
+    """Whether both show the object from one side, about as far from the points that both see."""
+    if turned_deg(one, other, model.ball.center) >= CLOSE_DEG:
+        return False
     shared = np.intersect1d(model.tracks[one.name], model.tracks[other.name])
     if not len(shared):
         return False

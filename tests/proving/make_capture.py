@@ -65,6 +65,7 @@ def render(out: Path, recipe: Any, light: str, wanted: argparse.Namespace) -> No
     import capture
     import env
     import moving
+    import walls
     from common import lookat
     from dataset import material_table, visible_mesh
 
@@ -85,9 +86,12 @@ def render(out: Path, recipe: Any, light: str, wanted: argparse.Namespace) -> No
         room = moving.ROOM[light] if wanted.room is None else wanted.room
         about["flash"] = moving.flash(capture, recipe.seed, room)
     # a still background is seen sharply
-    wide = 4096 if turns else 2048
+    wide = 4096 if turns or recipe.inside else 2048
     surroundings = env.build(recipe.room, wide, wide // 2, 1) * np.float32(room)
-    tracer = capture.PhotoTracer(objects, surroundings, *large, fov, flashes)
+    if recipe.inside and light == "world":
+        tracer = walls.WalledTracer(objects, surroundings, *large, fov, recipe.inside)
+    else:
+        tracer = capture.PhotoTracer(objects, surroundings, *large, fov, flashes)
     denoise = capture.OIDN(*large)
     rng = np.random.default_rng(recipe.seed)
     photos = wanted.photos or recipe.photos

@@ -27,6 +27,8 @@ class Recipe:
         drift: standard deviation of the photos' exposure, in stops.
         shake: longest motion blur, in pixels.
         noise: standard deviation of the noise at full scale, linear.
+        inside: (x, y) where the object stands in a room of 5.2 by 4.4 metres, metres from its
+            middle; without it, the room is infinitely far away.
     """
 
     objects: Callable[[], o.Objects]
@@ -42,6 +44,7 @@ class Recipe:
     drift: float = 0.0
     shake: float = 0.0
     noise: float = 1e-3
+    inside: tuple[float, float] | None = None
 
 
 def papers(seed: int) -> np.ndarray:

@@ -33,7 +33,9 @@ def seen(pose: Camera, board: F64, light: float) -> np.ndarray:
     return np.clip(picture * light, 0, 255).astype(np.uint8)
 
 
-def found(folder: Path, boards: list[F64], lights: list[F64 | float]) -> Agreement:
+def found(
+    folder: Path, boards: list[F64], lights: list[F64 | float], object_z: float = 0.0
+) -> Agreement:
     """Two photos from nearly the same place, each of its own board; both see the middle points."""
     rng = np.random.default_rng(1)
     points = np.concatenate([rng.uniform(-0.9, 0.9, (200, 2)), np.zeros((200, 1))], 1)
@@ -55,7 +57,7 @@ def found(folder: Path, boards: list[F64], lights: list[F64 | float]) -> Agreeme
         points=points,
         point_colors=np.zeros((200, 3), np.uint8),
         tracks={"IMG_0": np.arange(120), "IMG_1": np.arange(80, 200)},
-        ball=Ball(np.zeros(3), 1.0),
+        ball=Ball(np.array([0.1, 0.0, object_z]), 1.0),
         up=np.array([0.0, 0.0, 1.0]),
         sfm_from_world=np.eye(4),
         metres_per_unit=None,
@@ -106,6 +108,13 @@ def test_photos_far_from_each_other_are_not_compared(tmp_path: Path) -> None:
     one = found(tmp_path, [board(0)], [1.0])
     assert one.pairs == 0
     assert one.share == pytest.approx(float("nan"), nan_ok=True)
+
+
+def test_photos_of_different_sides_that_share_a_far_wall_are_not_compared(tmp_path: Path) -> None:
+    """The object stands in front of the board: the photos are turned about it by 20 degrees."""
+    assert found(tmp_path, [board(0), board(1)], [1.0, 1.0], object_z=-2.4).pairs == 0
+    same = tmp_path / "same"
+    assert found(same, [board(0), board(0)], [1.0, 1.0], object_z=-2.4).pairs == 0
 
 
 @pytest.mark.parametrize("close, far, share", [(12, 40, 1.0), (3, 40, 0.0), (3, 0, 1.0)])
