@@ -1,6 +1,6 @@
 """Judge the photos' places by evidence, and find the ball that the object lives in."""
 
-from functools import partial
+from typing import TYPE_CHECKING
 
 from refdgs_pipe.artifacts.placement import Placement
 from refdgs_pipe.artifacts.sparse_model import SparseModel
@@ -8,8 +8,11 @@ from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.pipeline.stage import Job, stage
 from refdgs_pipe.sfm.settings import GateParams
 
+if TYPE_CHECKING:
+    from refdgs_pipe.sfm.gate import Judgement
 
-@stage(version=10, programs=("opencv-contrib-python-headless",))
+
+@stage(version=11, programs=("opencv-contrib-python-headless",))
 def gate(views: Views, placement: Placement, params: GateParams, job: Job) -> SparseModel:
     """Keep the photos whose places can be trusted; poses that came with them are kept."""
     from refdgs_pipe.sfm.gate import check_trusted, examine
@@ -22,10 +25,11 @@ def gate(views: Views, placement: Placement, params: GateParams, job: Job) -> Sp
         model = model_from_known_poses(views, placement.poses)
     else:
         judgement = examine(views, placement, least=params.min_trusted)
+        if params.ground and judgement.may_be_trusted:
+            judgement = _on_the_ground(views, placement, judgement, params.min_trusted, job)
         for check in judgement.checks:
             job.measure(check.name, check.found)
         model = check_trusted(views, judgement, attempts=len(placement.attempts))
-        model = _on_the_ground(views, model, job) if params.ground else model
         gaps = judgement.gaps
     model = overridden(model, params.up, params.ball_center, params.ball_radius)
     model = with_distance(model, views, params.distance)
@@ -38,21 +42,17 @@ def gate(views: Views, placement: Placement, params: GateParams, job: Job) -> Sp
     return model
 
 
-def _on_the_ground(views: Views, model: SparseModel, job: Job) -> SparseModel:
-    """The model with poses refined on the plane that the object stands on."""
-    import numpy as np
+def _on_the_ground(
+    views: Views, placement: Placement, judgement: "Judgement", least: float, job: Job
+) -> "Judgement":
+    """The judgement with poses refined on the plane that the object stands on, and more photos."""
+    from refdgs_pipe.sfm.gate import with_places
+    from refdgs_pipe.sfm.on_ground import laid_on_ground
 
-    from refdgs_pipe.ground.register import registered
-    from refdgs_pipe.sfm.support import support_plane
-
-    plane = support_plane(model.points, model.ball.center, model.ball.radius, model.up)
-    if plane is None:
-        return model
-    told = partial(job.progress, "refining poses on the ground plane")
-    found = registered(views, model, (plane.normal, plane.offset), told, job.threads)
-    if found is None:
-        return model
-    before, after = np.median(list(found.misses.values()), axis=0)
-    job.measure("poses refined on the ground plane", f"{len(found.misses)} of {len(model.cameras)}")
-    job.measure("distance from the ground's texture", f"{before:.2f} px, then {after:.2f} px")
-    return found.model
+    assert judgement.model is not None
+    laid = laid_on_ground(views, judgement.model, job.progress, job.threads)
+    if laid is None:
+        return judgement
+    for name, value in laid.figures():
+        job.measure(name, value)
+    return with_places(judgement, views, placement, laid.model, least=least)

@@ -55,7 +55,7 @@ class Registered:
 
 
 @dataclass(frozen=True)
-class _Frame:
+class Frame:
     """A photo at a working size, through the lens that was found at first.
 
     Args:
@@ -91,14 +91,14 @@ def registered(
     groups = sorted({_key(model.lenses[name]) for name in model.names})
     progress(0, ROUNDS + 1)
 
-    def frame(camera: Camera) -> _Frame:
-        return _frame(views, model, camera, groups.index(_key(model.lenses[camera.name])))
+    def frame(camera: Camera) -> Frame:
+        return frame_of(views, model, camera, groups.index(_key(model.lenses[camera.name])))
 
     frames = mapped(frame, model.cameras, threads)
     ground = Ground.under(model.ball, *plane, REACH * model.ball.radius)
     poses = np.stack([camera.cam_from_world for camera in model.cameras])
     at_first = State(poses, np.zeros((len(groups), 2)))
-    state, sights = at_first, [_sight(frame, None) for frame in frames]
+    state, sights = at_first, [sight_of(frame, None) for frame in frames]
     first: list[float] | None = None
     free_lenses = True
     for done in range(ROUNDS):
@@ -135,16 +135,24 @@ def _key(lens: Lens) -> tuple[float, ...]:
     return (*lens.K.ravel().tolist(), *lens.distortion.tolist())
 
 
-def _frame(views: Views, model: SparseModel, camera: Camera, lens: int) -> _Frame:
+def frame_of(views: Views, model: SparseModel, camera: Camera, lens: int) -> Frame:
+    """The photo of a camera at a working size.
+
+    Args:
+        lens: index of its lens.
+
+    Raises:
+        CorruptError: the photo is missing or damaged.
+    """
     scale = min(1.0, SIDE / max(camera.width, camera.height))
     photo = load_photo(views, model, camera, scale=scale)
     grey = logs_of(photo.rgb).mean(-1)
     fine = grey - cv2.GaussianBlur(grey, (0, 0), FINE * max(grey.shape))
     track = model.tracks.get(camera.name, np.zeros(0, np.int64))
-    return _Frame(photo.camera, fine.astype(np.float32), photo.valid, model.points[track], lens)
+    return Frame(photo.camera, fine.astype(np.float32), photo.valid, model.points[track], lens)
 
 
-def _sight(frame: _Frame, found: tuple[F64, F64] | None) -> Sight:
+def sight_of(frame: Frame, found: tuple[F64, F64] | None) -> Sight:
     """What is known of a frame, with places on the plane and where they were found."""
     points, pixels = (np.zeros((0, 3)), np.zeros((0, 2))) if found is None else found
     at, depth = frame.camera.project(frame.held)
@@ -152,7 +160,7 @@ def _sight(frame: _Frame, found: tuple[F64, F64] | None) -> Sight:
     return Sight(frame.camera.K, points, pixels, frame.held[ahead], at[ahead], frame.lens)
 
 
-def _sights(frames: list[_Frame], state: State, ground: Ground, threads: int) -> list[Sight]:
+def _sights(frames: list[Frame], state: State, ground: Ground, threads: int) -> list[Sight]:
     """Look for the plane's picture in all photos."""
     cameras = [
         replace(f.camera, K=_longer(f.camera.K, state.lenses[f.lens]), cam_from_world=pose)
@@ -162,10 +170,10 @@ def _sights(frames: list[_Frame], state: State, ground: Ground, threads: int) ->
         _seen_through(f, camera, state.lenses[f.lens])
         for f, camera in zip(frames, cameras, strict=True)
     ]
-    picture = _picture(images, cameras, ground, threads)
+    picture = picture_of(images, cameras, ground, threads)
 
     def found(i: int) -> tuple[F64, F64] | None:
-        return _found(picture, images[i], cameras[i], ground)
+        return found_on(picture, images[i], cameras[i], ground)
 
     pairs = mapped(found, range(len(frames)), threads)
     radius = ground.radius / REACH
@@ -179,16 +187,16 @@ def _sights(frames: list[_Frame], state: State, ground: Ground, threads: int) ->
     def sight(i: int) -> Sight:
         frame, camera, pair = frames[i], cameras[i], pairs[i]
         if pair is None or bumps is None:
-            return _sight(frame, None)
+            return sight_of(frame, None)
         points, pixels = lifted(ground, pair[0], bumps, radius), pair[1]
         middle, lens = camera.K[:2, 2], state.lenses[frame.lens]
         x = (pixels - middle) / np.diag(camera.K)[:2]
-        return _sight(frame, (points, middle + bending(x, lens) * (pixels - middle)))
+        return sight_of(frame, (points, middle + bending(x, lens) * (pixels - middle)))
 
     return [sight(i) for i in range(len(frames))]
 
 
-def _seen_through(frame: _Frame, camera: Camera, lens: F64) -> F32:
+def _seen_through(frame: Frame, camera: Camera, lens: F64) -> F32:
     """(H, W) the photo as a camera without distortion shows it, NaN where it shows nothing."""
     image = np.where(frame.valid, frame.fine, np.float32(np.nan))
     if not lens.any():
@@ -202,7 +210,7 @@ def _seen_through(frame: _Frame, camera: Camera, lens: F64) -> F32:
     return np.asarray(out, np.float32)
 
 
-def _picture(images: list[F32], cameras: list[Camera], ground: Ground, threads: int) -> F32:
+def picture_of(images: list[F32], cameras: list[Camera], ground: Ground, threads: int) -> F32:
     """(n, n) the plane as half of the photos, those that see a place most steeply, show it."""
     normal = np.cross(ground.a, ground.b)
     away = np.stack([camera.center for camera in cameras]) - ground.origin
@@ -225,12 +233,12 @@ def _picture(images: list[F32], cameras: list[Camera], ground: Ground, threads: 
     return out
 
 
-def _found(picture: F32, image: F32, camera: Camera, ground: Ground) -> tuple[F64, F64] | None:
+def found_on(picture: F32, image: F32, camera: Camera, ground: Ground) -> tuple[F64, F64] | None:
     """Places (n, 3) on the plane, and the pixels (n, 2) where a photo shows them."""
     expected = ground.drawn(picture, camera)
     known = np.isfinite(expected).astype(np.uint8)
     inner = cv2.erode(known, np.ones((PATCH, PATCH), np.uint8))
-    one, other = _eight_bits(expected), _eight_bits(image)
+    one, other = eight_bits(expected), eight_bits(image)
     corners = cv2.goodFeaturesToTrack(one, PLACES, QUALITY, APART, mask=inner)
     if corners is None:
         return None
@@ -262,7 +270,8 @@ def _followed(one: U8, other: U8, places: F32) -> tuple[F32, U8]:
     return np.asarray(there, np.float32), np.asarray(ok, np.uint8)
 
 
-def _eight_bits(fine: F32) -> U8:
+def eight_bits(fine: F32) -> U8:
+    """(H, W) log brightness without what is coarse, as a picture; 127 where nothing is known."""
     scaled = (np.nan_to_num(fine) / CONTRAST + 1) * 127.5
     return scaled.clip(0, 255).astype(np.uint8)
 

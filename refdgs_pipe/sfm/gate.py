@@ -93,6 +93,11 @@ class Judgement:
     def is_trusted(self) -> bool:
         return self.model is not None and all(check.is_met for check in self.checks)
 
+    @property
+    def may_be_trusted(self) -> bool:
+        """Whether at most the number of photos with a place is too small."""
+        return self.model is not None and all(check.is_met for check in self.checks[1:])
+
 
 def examine(views: Views, placement: Placement, *, least: float) -> Judgement:
     """Judge a placement by its evidence. Photos that were placed close together are read.
@@ -115,7 +120,7 @@ def examine(views: Views, placement: Placement, *, least: float) -> Judgement:
         if stray and len(stray) < len(model.cameras):
             lost |= {f"{name}.png": why for name, why in stray.items()}
             model = _model(views, placement, lost)
-    checks = [_enough(said, lost, least, repeats=placement.repeats)]
+    checks = [_enough(len(said), len(lost), least, repeats=placement.repeats)]
     gaps: tuple[str, ...] = ()
     if model is not None and poses is not None:
         if evidence is not None:
@@ -127,9 +132,23 @@ def examine(views: Views, placement: Placement, *, least: float) -> Judgement:
             checks += _looking_alike(agreement(model, views))
             checks += _about_the_ball(model)
         checks.append(_spread(model))
-        gaps = gaps_of(model, {view.name: view.source or view.name for view in views.items})
+        gaps = gaps_of(model, _said(views))
     names = {file: file.removesuffix(".png") for file in said}
     return Judgement(model, {names[f]: why for f, why in lost.items()}, tuple(checks), gaps)
+
+
+def with_places(
+    judgement: Judgement, views: Views, placement: Placement, model: SparseModel, *, least: float
+) -> Judgement:
+    """The judgement after photos that were lost found a place in a model.
+
+    Args:
+        least: as in `examine`.
+    """
+    lost = {one.name: one.reason for one in model.lost}
+    enough = _enough(len(views.items), len(lost), least, repeats=placement.repeats)
+    gaps = gaps_of(model, _said(views))
+    return Judgement(model, lost, (enough, *judgement.checks[1:]), gaps)
 
 
 def check_trusted(views: Views, judgement: Judgement, *, attempts: int) -> SparseModel:
@@ -142,7 +161,7 @@ def check_trusted(views: Views, judgement: Judgement, *, attempts: int) -> Spars
         return judgement.model
     failed = [check for check in judgement.checks if not check.is_met]
     total, count = len(views.items), len(views.items) - len(judgement.lost)
-    said = {view.name: view.source or view.name for view in views.items}
+    said = _said(views)
     parts = [f"only {count} of {total} photos found a place that can be trusted"]
     if count == total:
         parts = [f"all {total} photos found a place, but the places cannot be trusted"]
@@ -157,6 +176,11 @@ def check_trusted(views: Views, judgement: Judgement, *, attempts: int) -> Spars
         "poses with the photos (transforms.json, sparse/0)"
     )
     raise PoseError("\n  ".join(parts))
+
+
+def _said(views: Views) -> dict[str, str]:
+    """Name of a view -> the photo's name for people."""
+    return {view.name: view.source or view.name for view in views.items}
 
 
 def _files(views: Views) -> dict[str, str]:
@@ -205,10 +229,8 @@ def _looks_at(camera: Camera, center: F64, radius: float) -> bool:
     return bool(angle < ASIDE * np.arctan(np.linalg.norm(corner)))
 
 
-def _enough(
-    said: Mapping[str, str], lost: Mapping[str, str], least: float, *, repeats: bool
-) -> Check:
-    total, count = len(said), len(said) - len(lost)
+def _enough(total: int, lost: int, least: float, *, repeats: bool) -> Check:
+    count = total - lost
     return Check(
         "photos with a trusted place",
         f"{count} of {total}, {least:.0%} are needed",

@@ -104,6 +104,7 @@ def render(out: Path, recipe: Any, light: str, wanted: argparse.Namespace) -> No
         ]
     poses = [camera["c2w"] for camera in cameras]
     gains = 2.0 ** rng.normal(0, recipe.drift or 1e-9, len(poses))
+    tints = 2.0 ** (np.random.default_rng(recipe.seed).normal(0, recipe.tint, (len(poses), 3)))
     shakes = rng.uniform(-1, 1, (len(poses), 2)) * recipe.shake
     frames = []
     for i, pose in enumerate(poses):
@@ -136,7 +137,7 @@ def render(out: Path, recipe: Any, light: str, wanted: argparse.Namespace) -> No
         tracer.place(cameras[i])
         linear, oid = _traced(capture, tracer, denoise, pose, large, fov, objects, wanted.passes, i)
         exif = None if wanted.bare else _exif(recipe, flashes)
-        _write(target, linear, oid < own, recipe, focal, gains[i], shakes[i], rng, exif)
+        _write(target, linear, oid < own, recipe, focal, gains[i] * tints[i], shakes[i], rng, exif)
         print(f"{out.name} {i + 1} of {len(poses)}, {time.time() - started:.0f} s", flush=True)
     if wanted.only is not None:
         return
@@ -189,7 +190,7 @@ def _write(
     mask: np.ndarray,
     recipe: Any,
     focal: float,
-    gain: float,
+    gain: np.ndarray,
     shake: np.ndarray,
     rng: np.random.Generator,
     exif: bytes | None,

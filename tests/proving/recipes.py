@@ -24,7 +24,8 @@ class Recipe:
         checking: whether the capture is for checking only; no limit may be chosen on it.
         lens: (k1, k2) of OpenCV's radial distortion.
         focal: in millimetres for a sensor 36 mm wide.
-        drift: standard deviation of the photos' exposure, in stops.
+        drift: standard deviation of the photos' exposure, in stops; tint: of their white balance,
+            each colour by itself.
         shake: longest motion blur, in pixels.
         noise: standard deviation of the noise at full scale, linear.
         inside: (x, y) where the object stands in a room of 5.2 by 4.4 metres, metres from its
@@ -42,6 +43,7 @@ class Recipe:
     lens: tuple[float, float] = (0.0, 0.0)
     focal: float = 35.0
     drift: float = 0.0
+    tint: float = 0.0
     shake: float = 0.0
     noise: float = 1e-3
     inside: tuple[float, float] | None = None

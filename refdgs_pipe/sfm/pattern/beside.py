@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from refdgs_pipe.camera import F64, Lens
 from refdgs_pipe.sfm.pattern.cells import turn
-from refdgs_pipe.sfm.pattern.lattice import U8, mapped, root_sift
+from refdgs_pipe.sfm.pattern.lattice import U8, mapped
 from refdgs_pipe.sfm.pattern.topview import SIDE, TopView
+from refdgs_pipe.vectors import root_sift
 
 MOST_FEATURES = 6000
 RATIO = 0.8  # of the distance of the best match to that of the second best

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from refdgs_pipe.camera import F64
+from refdgs_pipe.vectors import root_sift
 
 U8 = NDArray[np.uint8]
 Ints = NDArray[np.int64]
@@ -110,12 +111,6 @@ def _keys(grey: U8, scale: float) -> tuple[F64, NDArray[np.float32]]:
         return np.zeros((0, 2)), np.zeros((0, 128), np.float32)
     found, looks = sift.compute(grey, keys)
     return np.array([key.pt for key in found], float) + 0.5, root_sift(looks)
-
-
-def root_sift(descriptors: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(n, 128) unit descriptors from SIFT's (Arandjelovic and Zisserman 2012)."""
-    total = np.maximum(descriptors.sum(1, keepdims=True), 1e-9)
-    return np.asarray(np.sqrt(descriptors / total), np.float32)
 
 
 def _first_cells(seed: F64, near: F64, members: F64) -> list[F64]:

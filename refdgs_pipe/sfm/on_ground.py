@@ -1,0 +1,130 @@
+"""Poses refined on the ground that the object stands on, and photos that it gives a place."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from refdgs_pipe.artifacts.sparse_model import SparseModel
+from refdgs_pipe.artifacts.views import Views
+from refdgs_pipe.camera import F64, Camera, Lens
+from refdgs_pipe.ground.anew import placed_anew
+from refdgs_pipe.ground.register import registered
+from refdgs_pipe.sfm.posed import shots_of
+from refdgs_pipe.sfm.support import support_plane
+
+OFF = 0.005  # of a photo's longer side: a sparse point that is farther off is not what it shows
+
+Told = Callable[[str, int, int], None]
+"""Told what is done, the steps done and their number; may raise."""
+
+
+@dataclass(frozen=True)
+class Laid:
+    """What the ground told.
+
+    Args:
+        model: with the new poses, lenses and photos.
+        refined: photos whose poses were refined; before, after: median distance of the ground's
+            texture from where they show it, px of a photo of 800 px.
+        anew: names of photos that the ground gave a place, or another one.
+    """
+
+    model: SparseModel
+    refined: int
+    before: float
+    after: float
+    anew: tuple[str, ...]
+
+    def figures(self) -> list[tuple[str, str | int]]:
+        """(name, value) of what there is to know at a glance."""
+        return [
+            ("poses refined on the ground plane", f"{self.refined} of {len(self.model.cameras)}"),
+            (
+                "distance from the ground's texture",
+                f"{self.before:.2f} px, then {self.after:.2f} px",
+            ),
+            ("photos placed by the ground's texture", len(self.anew)),
+        ]
+
+
+def laid_on_ground(views: Views, model: SparseModel, told: Told, threads: int = 1) -> Laid | None:
+    """Refine the poses, and place photos that are lost or do not fit; None without such a ground.
+
+    Raises:
+        CorruptError: a photo is missing or damaged.
+    """
+    plane = support_plane(model.points, model.ball.center, model.ball.radius, model.up)
+    if plane is None:
+        return None
+    at = plane.normal, plane.offset
+
+    def refining(done: int, total: int) -> None:
+        told("refining poses on the ground plane", done, total)
+
+    found = registered(views, model, at, refining, threads)
+    if found is None:
+        return None
+    before, after = np.median(list(found.misses.values()), axis=0)
+    model = found.model
+    unfit = {camera.name: camera for camera in model.cameras if camera.name not in found.misses}
+    lost, lenses = _lost(views, model)
+
+    def placing(done: int, total: int) -> None:
+        told("placing photos by the ground's texture", done, total)
+
+    known = replace(model, lenses=model.lenses | lenses)
+    anew = placed_anew(views, known, at, unfit | lost, placing, threads) if unfit | lost else {}
+    model = _with(
+        known, {n: replace(c, cam_from_world=anew[n]) for n, c in lost.items() if n in anew}
+    )
+    model = _moved(model, {name: pose for name, pose in anew.items() if name in unfit})
+    return Laid(model, len(found.misses), float(before), float(after), tuple(anew))
+
+
+def _lost(views: Views, model: SparseModel) -> tuple[dict[str, Camera], dict[str, Lens]]:
+    """Cameras and lenses of photos without a place, from placed photos of the same camera."""
+    placed = {camera.name: camera for camera in model.cameras}
+    cameras, lenses = {}, {}
+    for shots in shots_of(views, {view.name: (view.width, view.height) for view in views.items}):
+        names = [file.removesuffix(".png") for file in shots.files]
+        like = next((placed[name] for name in names if name in placed), None)
+        for name in names:
+            if name in placed or like is None:
+                continue
+            split = views[name].split
+            cameras[name] = replace(like, name=name, split=split, cam_from_world=np.eye(4))
+            lenses[name] = model.lenses[like.name]
+    return cameras, lenses
+
+
+def _with(model: SparseModel, found: dict[str, Camera]) -> SparseModel:
+    """The model with photos that are lost no longer; their sparse points are not known."""
+    cameras = sorted((*model.cameras, *found.values()), key=lambda camera: camera.name)
+    names = {camera.name for camera in cameras}
+    return replace(
+        model,
+        cameras=tuple(cameras),
+        lenses={name: lens for name, lens in model.lenses.items() if name in names},
+        tracks=model.tracks | {name: np.zeros(0, np.int64) for name in found},
+        lost=tuple(one for one in model.lost if one.name not in found),
+    )
+
+
+def _moved(model: SparseModel, poses: dict[str, F64]) -> SparseModel:
+    """The model with other poses. These photos keep the points that lie where they show them.
+
+    Only the old pose tells where that is.
+    """
+    old = {camera.name: camera for camera in model.cameras}
+    model = model.placed(poses)
+    tracks = dict(model.tracks)
+    for camera in model.cameras:
+        if camera.name not in poses:
+            continue
+        track = tracks[camera.name]
+        was, _ = old[camera.name].project(model.points[track])
+        now, depth = camera.project(model.points[track])
+        near = np.linalg.norm(now - was, axis=1) < OFF * max(camera.width, camera.height)
+        tracks[camera.name] = track[near & (depth > 0)]
+    return replace(model, tracks=tracks)
