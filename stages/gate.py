@@ -1,15 +1,10 @@
 """Judge the photos' places by evidence, and find the ball that the object lives in."""
 
-from typing import TYPE_CHECKING
-
 from refdgs_pipe.artifacts.placement import Placement
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.pipeline.stage import Job, stage
 from refdgs_pipe.sfm.settings import GateParams
-
-if TYPE_CHECKING:
-    from refdgs_pipe.sfm.gate import Judgement
 
 
 @stage(version=11, programs=("opencv-contrib-python-headless",))
@@ -17,6 +12,7 @@ def gate(views: Views, placement: Placement, params: GateParams, job: Job) -> Sp
     """Keep the photos whose places can be trusted; poses that came with them are kept."""
     from refdgs_pipe.sfm.gate import check_trusted, examine
     from refdgs_pipe.sfm.known import model_from_known_poses
+    from refdgs_pipe.sfm.on_ground import judged_on_ground
     from refdgs_pipe.sfm.report import figures, overridden, warnings_about
     from refdgs_pipe.sfm.two_points import with_distance
 
@@ -25,8 +21,13 @@ def gate(views: Views, placement: Placement, params: GateParams, job: Job) -> Sp
         model = model_from_known_poses(views, placement.poses)
     else:
         judgement = examine(views, placement, least=params.min_trusted)
-        if params.ground and judgement.may_be_trusted:
-            judgement = _on_the_ground(views, placement, judgement, params.min_trusted, job)
+        if params.ground:
+            least = params.min_trusted
+            judgement, laid = judged_on_ground(
+                views, placement, judgement, job.progress, least=least, threads=job.threads
+            )
+            for name, value in () if laid is None else laid.figures():
+                job.measure(name, value)
         for check in judgement.checks:
             job.measure(check.name, check.found)
         model = check_trusted(views, judgement, attempts=len(placement.attempts))
@@ -40,19 +41,3 @@ def gate(views: Views, placement: Placement, params: GateParams, job: Job) -> Sp
     for text in (*warnings_about(views, model, known=placement.known), *gaps):
         job.warn(text)
     return model
-
-
-def _on_the_ground(
-    views: Views, placement: Placement, judgement: "Judgement", least: float, job: Job
-) -> "Judgement":
-    """The judgement with poses refined on the plane that the object stands on, and more photos."""
-    from refdgs_pipe.sfm.gate import with_places
-    from refdgs_pipe.sfm.on_ground import laid_on_ground
-
-    assert judgement.model is not None
-    laid = laid_on_ground(views, judgement.model, job.progress, job.threads)
-    if laid is None:
-        return judgement
-    for name, value in laid.figures():
-        job.measure(name, value)
-    return with_places(judgement, views, placement, laid.model, least=least)

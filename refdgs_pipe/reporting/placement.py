@@ -15,7 +15,7 @@ from refdgs_pipe.errors import RefdgsError
 from refdgs_pipe.reporting.facts import Drawing, Facts
 from refdgs_pipe.reporting.html import Content, Html, figure, image, joined, table, tag
 from refdgs_pipe.reporting.pictures import eight_bits, webp
-from refdgs_pipe.sfm.gate import Check, Judgement, examine
+from refdgs_pipe.sfm.gate import Check, Judgement, examine, with_places
 
 U8 = NDArray[np.uint8]
 _PICTURES, _SIDE = 6, 480  # photos with an overlay; px of their longer side
@@ -31,6 +31,8 @@ def placement(facts: Facts, _: Drawing) -> Html:
         return tag("p", _given(found))
     judgement = judged(facts, views, found)
     model = _current_model(facts) or judgement.model
+    if model is not None and judgement.may_be_trusted:  # the ground may have placed more photos
+        judgement = with_places(judgement, views, found, model, least=_least(facts))
     return joined(
         verdict_line(judgement, len(views.items)),
         attempts_table(found.attempts),
@@ -52,8 +54,12 @@ def _given(found: Placement) -> str:
 
 def judged(facts: Facts, views: Views, found: Placement) -> Judgement:
     """What the gate says of a placement, with the settings of the workspace."""
-    least = facts.settings.get("gate", {}).get("min_trusted", 0.7)
-    return examine(views, found, least=float(least))
+    return examine(views, found, least=_least(facts))
+
+
+def _least(facts: Facts) -> float:
+    """Share of the photos that must have a trusted place."""
+    return float(facts.settings.get("gate", {}).get("min_trusted", 0.7))
 
 
 def lost_photos(facts: Facts) -> dict[str, str]:

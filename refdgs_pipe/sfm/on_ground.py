@@ -5,11 +5,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from refdgs_pipe.artifacts.placement import Placement
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import F64, Camera, Lens
 from refdgs_pipe.ground.anew import placed_anew
 from refdgs_pipe.ground.register import registered
+from refdgs_pipe.sfm.gate import Judgement, with_places
 from refdgs_pipe.sfm.posed import shots_of
 from refdgs_pipe.sfm.support import support_plane
 
@@ -36,7 +38,7 @@ class Laid:
     after: float
     anew: tuple[str, ...]
 
-    def figures(self) -> list[tuple[str, str | int]]:
+    def figures(self) -> list[tuple[str, float | int | str]]:
         """(name, value) of what there is to know at a glance."""
         return [
             ("poses refined on the ground plane", f"{self.refined} of {len(self.model.cameras)}"),
@@ -80,6 +82,31 @@ def laid_on_ground(views: Views, model: SparseModel, told: Told, threads: int = 
     )
     model = _moved(model, {name: pose for name, pose in anew.items() if name in unfit})
     return Laid(model, len(found.misses), float(before), float(after), tuple(anew))
+
+
+def judged_on_ground(
+    views: Views,
+    placement: Placement,
+    judgement: Judgement,
+    told: Told,
+    *,
+    least: float,
+    threads: int = 1,
+) -> tuple[Judgement, Laid | None]:
+    """The judgement after the ground was asked, where it can change it; and what the ground told.
+
+    Args:
+        least: share of the photos that must have a trusted place.
+
+    Raises:
+        CorruptError: a photo is missing or damaged.
+    """
+    if not judgement.may_be_trusted or judgement.model is None:
+        return judgement, None
+    laid = laid_on_ground(views, judgement.model, told, threads)
+    if laid is None:
+        return judgement, None
+    return with_places(judgement, views, placement, laid.model, least=least), laid
 
 
 def _lost(views: Views, model: SparseModel) -> tuple[dict[str, Camera], dict[str, Lens]]:

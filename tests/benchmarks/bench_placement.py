@@ -32,6 +32,7 @@ from refdgs_pipe.child_process import call_in_child
 from refdgs_pipe.errors import RefdgsError
 from refdgs_pipe.geometry import robust_similarity
 from refdgs_pipe.sfm.gate import Judgement, examine
+from refdgs_pipe.sfm.on_ground import judged_on_ground
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(36000)]
 
@@ -269,7 +270,9 @@ def _cell(source: Source, name: str, folder: Path) -> dict[str, Any]:
         return nothing | refused | {"said": (folder / "found").read_text()}
     views = Views.load(folder / "work" / "ingest")
     placement = Placement.load(folder / "work" / "sfm")
-    judgement = examine(views, placement, least=LEAST)
+    judgement, _ = judged_on_ground(
+        views, placement, examine(views, placement, least=LEAST), lambda *_: None, least=LEAST
+    )
     return _judge(source, placement, judgement, len(views.items))
 
 
