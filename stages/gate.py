@@ -7,12 +7,12 @@ from refdgs_pipe.pipeline.stage import Job, stage
 from refdgs_pipe.sfm.settings import GateParams
 
 
-@stage(version=11, programs=("opencv-contrib-python-headless",))
+@stage(version=12, programs=("opencv-contrib-python-headless",))
 def gate(views: Views, placement: Placement, params: GateParams, job: Job) -> SparseModel:
     """Keep the photos whose places can be trusted; poses that came with them are kept."""
     from refdgs_pipe.sfm.gate import check_trusted, examine
     from refdgs_pipe.sfm.known import model_from_known_poses
-    from refdgs_pipe.sfm.on_ground import judged_on_ground
+    from refdgs_pipe.sfm.on_ground import evened, judged_on_ground
     from refdgs_pipe.sfm.report import figures, overridden, warnings_about
     from refdgs_pipe.sfm.two_points import with_distance
 
@@ -34,6 +34,7 @@ def gate(views: Views, placement: Placement, params: GateParams, job: Job) -> Sp
         gaps = judgement.gaps
     model = overridden(model, params.up, params.ball_center, params.ball_radius)
     model = with_distance(model, views, params.distance)
+    model = evened(views, model, job.threads) if params.even else model
     for name, value, unit in figures(model, placement.poses):
         job.measure(name, value, unit)
     for note in placement.notes:

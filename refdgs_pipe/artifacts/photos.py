@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import Camera, Lens
-from refdgs_pipe.color import fractions, srgb_from_linear
+from refdgs_pipe.color import fractions, linear_from_srgb, srgb_from_linear
 from refdgs_pipe.files.images import read_png
 
 F32 = NDArray[np.float32]
@@ -44,11 +44,19 @@ class Photo:
         return np.where(shown[..., None], self.rgb, np.float32(np.nan))
 
 
-def load_photo(views: Views, model: SparseModel, camera: Camera, *, scale: float = 1.0) -> Photo:
+def load_photo(
+    views: Views,
+    model: SparseModel,
+    camera: Camera,
+    *,
+    scale: float = 1.0,
+    evened: bool = True,
+) -> Photo:
     """Read the photo of a camera of the model.
 
     Args:
         scale: size of the result relative to the camera's; at most 1.
+        evened: with the model's factor for its exposure and white balance.
 
     Raises:
         CorruptError: the image or its mask is missing or damaged.
@@ -71,7 +79,13 @@ def load_photo(views: Views, model: SparseModel, camera: Camera, *, scale: float
         mask = None if mask is None else _shrink(mask, size)
     if views.background == "removed" and mask is not None:
         rgb = np.divide(rgb, mask[..., None], out=np.zeros_like(rgb), where=mask[..., None] > 1e-3)
-    rgb = srgb_from_linear(rgb) if views.color_space == "linear" else np.clip(rgb, 0, 1)
+    gain = model.gains.get(camera.name) if evened else None
+    if gain is not None:
+        linear = rgb if views.color_space == "linear" else linear_from_srgb(np.clip(rgb, 0, 1))
+        rgb = srgb_from_linear(linear * np.array(gain, np.float32))
+    elif views.color_space == "linear":
+        rgb = srgb_from_linear(rgb)
+    rgb = np.clip(rgb, 0, 1)
     return Photo(camera.resized(*size), rgb, mask, valid > 0.999)
 
 

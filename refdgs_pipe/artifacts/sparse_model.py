@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -56,6 +56,8 @@ class SparseModel:
         sfm_from_world: (4, 4) similarity back to the frame of the structure from motion.
         metres_per_unit: None when nothing told the scale.
         lost: views without a pose and why.
+        gains: view name -> factors of linear RGB that undo its own exposure and white balance;
+            empty where all photos were taken alike.
     """
 
     cameras: tuple[Camera, ...]
@@ -68,6 +70,7 @@ class SparseModel:
     sfm_from_world: F64
     metres_per_unit: float | None
     lost: tuple[Lost, ...]
+    gains: dict[str, tuple[float, float, float]] = field(default_factory=dict)
 
     @property
     def names(self) -> list[str]:
@@ -107,6 +110,7 @@ class SparseModel:
             "lens_of": {name: order[_lens_key(lens)] for name, lens in self.lenses.items()},
             "test": [camera.name for camera in self.cameras if camera.split == "test"],
             "lost": [asdict(view) for view in self.lost],
+            "gains": self.gains,
         }
         (folder / "model.json").write_text(json.dumps(record, indent=1), encoding="utf-8")
 
@@ -137,9 +141,24 @@ class SparseModel:
                 sfm_from_world=np.array(record["sfm_from_world"], float),
                 metres_per_unit=record["metres_per_unit"],
                 lost=tuple(Lost(**view) for view in record["lost"]),
+                gains=_gains(record.get("gains", {})),
             )
         except (OSError, ValueError, KeyError, IndexError, TypeError) as error:
             raise CorruptError(f"{folder / 'model.json'}: {error}") from None
+
+
+def _gains(record: dict[str, list[float]]) -> dict[str, tuple[float, float, float]]:
+    """Factors as they were written.
+
+    Raises:
+        ValueError: they are no three positive numbers.
+    """
+    found = {}
+    for name, (red, green, blue) in record.items():
+        found[name] = (float(red), float(green), float(blue))
+        if not all(0 < factor < np.inf for factor in found[name]):
+            raise ValueError(f"gains of {name}: three positive numbers are expected")
+    return found
 
 
 def _view_name(image_name: str) -> str:

@@ -148,7 +148,7 @@ def _exposure(look: Look, views: Views) -> list[Finding]:
     stops = pixels.stops_apart(views)
     if stops is not None and stops > pixels.STOPS:
         text = f"the camera changed the exposure between photos, by up to {stops:.1f} stops"
-        advice = "Fix the exposure; for these photos add --set train.exposure=fitted"
+        advice = "Fix the exposure. `run` evens photos that show the ground below the object"
         state: State = "note" if views.color_space == "linear" else "but"
         out.append(Finding("exposure", state, text, advice))
     return out or [Finding("exposure", "ok", "no photo is too dark or clipped")]

@@ -10,6 +10,7 @@ from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import F64, Camera, Lens
 from refdgs_pipe.ground.anew import placed_anew
+from refdgs_pipe.ground.gains import gains_of
 from refdgs_pipe.ground.register import registered
 from refdgs_pipe.sfm.gate import Judgement, with_places
 from refdgs_pipe.sfm.posed import shots_of
@@ -59,12 +60,11 @@ def laid_on_ground(views: Views, model: SparseModel, told: Told, threads: int = 
     plane = support_plane(model.points, model.ball.center, model.ball.radius, model.up)
     if plane is None:
         return None
-    at = plane.normal, plane.offset
 
     def refining(done: int, total: int) -> None:
         told("refining poses on the ground plane", done, total)
 
-    found = registered(views, model, at, refining, threads)
+    found = registered(views, model, plane.at, refining, threads)
     if found is None:
         return None
     before, after = np.median(list(found.misses.values()), axis=0)
@@ -76,7 +76,9 @@ def laid_on_ground(views: Views, model: SparseModel, told: Told, threads: int = 
         told("placing photos by the ground's texture", done, total)
 
     known = replace(model, lenses=model.lenses | lenses)
-    anew = placed_anew(views, known, at, unfit | lost, placing, threads) if unfit | lost else {}
+    anew = (
+        placed_anew(views, known, plane.at, unfit | lost, placing, threads) if unfit | lost else {}
+    )
     model = _with(
         known, {n: replace(c, cam_from_world=anew[n]) for n, c in lost.items() if n in anew}
     )
@@ -107,6 +109,19 @@ def judged_on_ground(
     if laid is None:
         return judgement, None
     return with_places(judgement, views, placement, laid.model, least=least), laid
+
+
+def evened(views: Views, model: SparseModel, threads: int = 1) -> SparseModel:
+    """The model with each photo's factors for exposure and white balance, where they differ.
+
+    Raises:
+        CorruptError: a photo is missing or damaged.
+    """
+    if views.background == "removed":
+        return model
+    plane = support_plane(model.points, model.ball.center, model.ball.radius, model.up)
+    gains = {} if plane is None else gains_of(views, model, plane.at, threads)
+    return replace(model, gains=gains)
 
 
 def _lost(views: Views, model: SparseModel) -> tuple[dict[str, Camera], dict[str, Lens]]:

@@ -45,6 +45,10 @@ def figures(model: SparseModel, poses: Poses | None) -> list[tuple[str, float | 
         ("ball centre", center, "units"),
         ("ball radius", model.ball.radius, "units"),
     ]
+    if model.gains:
+        factors = np.array(list(model.gains.values())).mean(1)
+        stops = float(np.abs(np.log2(factors)).max())
+        out.append(("exposure evened, at most", stops, "stops"))
     if poses is not None:
         out += [("reprojection error", poses.error_px, "px"), ("mapper", poses.mapper, "")]
     return out

@@ -14,7 +14,14 @@ class GateParams(Params):
         0.7, ge=0, le=1, description="least share of photos whose camera must be found and trusted"
     )
     ground: bool = Field(
-        True, description="refine camera poses with the texture of the plane below the object"
+        True,
+        description="refine camera poses, and place lost photos, with the texture of the plane "
+        "below the object",
+    )
+    even: bool = Field(
+        True,
+        description="undo differences in exposure and white balance between photos, as the plane "
+        "below the object shows them",
     )
     up: Point | None = Field(None, description="up direction, in world axes; unset: found")
     ball_center: Point | None = Field(
