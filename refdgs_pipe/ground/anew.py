@@ -14,7 +14,7 @@ import numpy as np
 
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.views import Views
-from refdgs_pipe.camera import F64, Camera
+from refdgs_pipe.camera import F64, Camera, center_of
 from refdgs_pipe.ground.adjust import State, adjusted, misses
 from refdgs_pipe.ground.plane import Ground
 from refdgs_pipe.ground.register import (
@@ -151,7 +151,7 @@ def _placed(frame: Frame, picture: F32, ground: Ground, guesses: list[_Guess]) -
     pixels, looks = _features(eight_bits(image), frame.valid.astype(np.uint8))
     for guess in guesses:
         pose = _agreed(guess, pixels, looks)
-        if pose is None:
+        if pose is None or ground.height(center_of(pose)) <= 0:  # a mirrored photo fits from below
             continue
         pose = _refined(frame, image, picture, ground, pose)
         if pose is not None:

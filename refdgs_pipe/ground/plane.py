@@ -35,6 +35,10 @@ class Ground:
         origin = ball.center - (normal @ ball.center - offset) * normal
         return cls(origin, a, np.cross(normal, a), radius)
 
+    def height(self, point: F64) -> float:
+        """How far above the plane a point (3,) lies, world units."""
+        return float((point - self.origin) @ np.cross(self.a, self.b))
+
     def homography(self, camera: Camera, cells: int) -> F64:
         """(3, 3) from the picture's coordinates to the photo's, both with centres at +0.5."""
         step = 2 * self.radius / cells

@@ -6,6 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 from printed_ground import PLANE, SIZE, blots, capture, errors, nothing, right_model
 
 from refdgs_pipe.artifacts.sparse_model import SparseModel
@@ -55,6 +56,15 @@ def test_a_photo_of_another_ground_gets_no_place(tmp_path: Path) -> None:
     (tmp_path / "other").mkdir()
     capture(tmp_path / "other", blots(seed=8))
     (tmp_path / "other" / "IMG_07.png").replace(tmp_path / "IMG_07.png")
+    assert placed(views, cameras, *LOST).names == ["IMG_00"]
+
+
+def test_a_mirrored_photo_gets_no_place(tmp_path: Path) -> None:
+    """A camera below the ground would see it so."""
+    views, cameras = capture(tmp_path, blots())
+    path = tmp_path / "IMG_07.png"
+    with Image.open(path) as image:
+        image.transpose(Image.Transpose.FLIP_LEFT_RIGHT).save(path)
     assert placed(views, cameras, *LOST).names == ["IMG_00"]
 
 
