@@ -77,6 +77,16 @@ def cut_to(shot: Shot, box: Box) -> Shot:
     return Shot(camera, shot.rgb[part].copy(), shot.valid[part].copy(), box, shot.whole)
 
 
+def cut_round(shot: Shot, outline: Bools, margin: float) -> Shot:
+    """The part of a photo round an outline of any size; the photo where there is none.
+
+    Args:
+        margin: a share of the longer side of the outline.
+    """
+    box = box_around(resized(outline.astype(np.float32), *shot.whole) > 0.5, margin)
+    return shot if box is None else cut_to(shot, box)
+
+
 def box_around(mask: Bools, margin: float) -> Box | None:
     """The box of a mask with a margin, a share of its larger side; None if the mask is empty."""
     rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))

@@ -86,3 +86,15 @@ def without_false_holes(mask: F32, rgb: F32, outline: Bools | None = None) -> F3
         if (change[part][rim] >= least).mean() < RIMMED:
             filled[part][hole] = 1.0
     return filled
+
+
+def signed_distance(mask: Bools) -> F32:
+    """(H, W) pixels to the mask's edge, positive inside."""
+    inside = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 3)
+    outside = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 3)
+    return np.asarray(inside - outside, np.float32)
+
+
+def well_inside(mask: Bools, pixels: float) -> Bools:
+    """(H, W) the mask's pixels that are farther than that from its edge, and than one pixel."""
+    return np.asarray(signed_distance(mask) > max(1.0, pixels))

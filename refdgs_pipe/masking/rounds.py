@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 
 from refdgs_pipe.artifacts.lighting import Lighting
@@ -15,8 +14,7 @@ from refdgs_pipe.ground.shots import (
     F32,
     Bools,
     Shot,
-    box_around,
-    cut_to,
+    cut_round,
     grown,
     mapped,
     resized,
@@ -24,8 +22,9 @@ from refdgs_pipe.ground.shots import (
 )
 from refdgs_pipe.masking.beyond import Room, is_plain, shown_room
 from refdgs_pipe.masking.colours import colour_evidence, with_colour
-from refdgs_pipe.masking.cut import cut, without_false_holes
+from refdgs_pipe.masking.cut import cut, signed_distance, well_inside, without_false_holes
 from refdgs_pipe.masking.foot import WIDE, Foot
+from refdgs_pipe.masking.held import held
 from refdgs_pipe.masking.levels import LAST, LEVELS, Level
 from refdgs_pipe.masking.odds import calibrated
 from refdgs_pipe.masking.solid import (
@@ -128,9 +127,11 @@ class _Told(Evidence):
     Args:
         mirrors: (H, W) where it may show a mirror, which has the colours of a plain room: where it
             shows neither plane nor room, or where the solid is and it is not sure of the room.
+        beside: (H, W) where the room is asked, not the plane.
     """
 
     mirrors: Bools
+    beside: Bools
 
 
 class _Worker:
@@ -157,7 +158,7 @@ class _Worker:
             self.shots = list(whole)
         else:
             pairs = zip(whole, found.outlines, strict=True)
-            self.shots = [_cut(*pair, level.margin) for pair in pairs]
+            self.shots = [cut_round(*pair, level.margin) for pair in pairs]
         self.weight = level.weight * min(1.0, 400 / max(self.shots[0].whole))
         self.band = [max(2, round(BAND * max(shot.whole))) for shot in self.shots]
         reach = WIDE * model.ball.radius if found is None else found.reach
@@ -202,7 +203,7 @@ class _Worker:
 
     def final(self, found: Found) -> Found | None:
         """Masks as fine as photos are, of what all of them agree on."""
-        evidence = self._evidence(found)
+        evidence = self._held(self._evidence(found))
         values, known = self._with_colours(evidence, found), [e.known for e in evidence]
         outlines, proven = self._parts_of(found.outlines), self._proven()
         solid = bites = self.cells.inside
@@ -245,7 +246,7 @@ class _Worker:
             for shot, before, now in zip(self.shots, planes, told, strict=True)
         ]
         if found.room is None:
-            return [_Told(p.value, p.known, np.zeros_like(p.known)) for p in planes]
+            return [_Told(p.value, p.known, *np.zeros((2, *p.known.shape), bool)) for p in planes]
         rooms = self._parts([room.value for room in found.room])
         known = self._parts([room.known.astype(np.float32) for room in found.room])
         apart = self._parts_of([room.apart for room in found.room])
@@ -258,8 +259,22 @@ class _Worker:
             value = np.where(there, room, plane.value)
             likely = (value < 0) | (outline & there & (value < TELLING))
             mirrors = (alone & ~sure) | (likely & in_plain_room)
-            out.append(_Told(value, sure, mirrors))
+            out.append(_Told(value, sure, mirrors, there))
         return out
+
+    def _held(self, evidence: list[_Told]) -> list[_Told]:
+        """The evidence, with what photos from above hold for solid: a mirror may be there."""
+        values, asked = [e.value for e in evidence], [e.known & ~e.beside for e in evidence]
+        out = []
+        hulls = held(self.cells, self.shots, values, asked)
+        for one, shot, hull in zip(evidence, self.shots, hulls, strict=True):
+            inside = well_inside(hull, self._edge(shot))
+            out.append(replace(one, mirrors=one.mirrors | (inside & one.beside)))
+        return out
+
+    def _edge(self, shot: Shot) -> float:
+        """Pixels inside its outline, from which on the solid is sure."""
+        return EDGE * pixels_of(self.cells.size, shot, self.ball.center)
 
     def _with_colours(self, evidence: list[_Told], found: Found) -> list[F32]:
         """(H, W) the evidence, and that of colours where it is weak; far off only one way."""
@@ -284,9 +299,8 @@ class _Worker:
         """(H, W) the evidence, where the solid's foot shows at least that it is likely."""
         out = []
         for value, shot, outline in zip(values, self.shots, outlines, strict=True):
-            edge = max(1.0, EDGE * pixels_of(self.cells.size, shot, self.ball.center))
-            held = silhouette(self.cells, foot, shot) & (_signed_distance(outline) > edge)
-            out.append(np.where(held, np.minimum(value, -CERTAIN), value))
+            sure = silhouette(self.cells, foot, shot) & well_inside(outline, self._edge(shot))
+            out.append(np.where(sure, np.minimum(value, -CERTAIN), value))
         return out
 
     def _cuts(self, values: list[F32], outlines: list[Bools] | None = None) -> list[F32]:
@@ -304,7 +318,7 @@ class _Worker:
         """(H, W) masks that stay near the solid's silhouettes."""
         out = []
         for value, outline, band in zip(values, outlines, self.band, strict=True):
-            distance = _signed_distance(outline) / band
+            distance = signed_distance(outline) / band
             doubt = self.inner * np.clip(1 - np.abs(value) / 2, 0.1, 1)
             prior = PRIOR * np.where(distance > 0, doubt, 1) * np.clip(distance, -1, 1)
             evidence = np.where(distance < -1, SURE, value - prior)
@@ -382,16 +396,3 @@ class _Worker:
 def _sure(values: list[F32], known: list[Bools]) -> list[Bools]:
     """(H, W) where photos are sure to show the object."""
     return [(smooth(v, 1.0) < -CERTAIN) & k for v, k in zip(values, known, strict=True)]
-
-
-def _cut(shot: Shot, outline: Bools, margin: float) -> Shot:
-    """The part of a photo round the solid."""
-    box = box_around(resized(outline.astype(np.float32), *shot.whole) > 0.5, margin)
-    return shot if box is None else cut_to(shot, box)
-
-
-def _signed_distance(mask: Bools) -> F32:
-    """(H, W) pixels to the mask's edge, positive inside."""
-    inside = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 3)
-    outside = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 3)
-    return np.asarray(inside - outside, np.float32)

@@ -85,7 +85,7 @@ def agreed(
         deny: share of the photos that can tell, which may deny a cell.
     """
     index = np.flatnonzero(cells.inside)
-    index, seen, told, denied = _polled(cells, index, shots, free, known, deny)
+    index, seen, told, denied = polled(cells, index, shots, free, known, deny)
     points = cells.points[index]
     shown_enough = seen >= SHOWN * len(shots)
     sure = told >= KNOWN * len(shots)
@@ -120,7 +120,7 @@ def covering(
         turns: whether the object turned in a still room; then none come back if it is too many.
     """
     index = np.flatnonzero(cells.inside & ~solid)
-    index, seen, told, denied = _polled(cells, index, shots, free, known, DOUBTED)
+    index, seen, told, denied = polled(cells, index, shots, free, known, DOUBTED)
     share = denied / np.maximum(told, 1)
     likely = (seen >= SHOWN * len(shots)) & (told >= KNOWN * len(shots)) & (share <= DOUBTED)
     index, share = index[likely], share[likely]
@@ -183,8 +183,8 @@ def without_bites(
     near = cells.inside & (height > 0) & (height <= highest)
     index = np.flatnonzero(~solid & _enclosed(cells, solid, near, plane[0], height))
     heard = [can & (may | sure) for may, can, sure in zip(free, known, proven, strict=True)]
-    index, seen, told, denied = _polled(cells, index, shots, free, heard, deny)
-    index, _, could, _ = _polled(cells, index, shots, free, known, 1.0)
+    index, seen, told, denied = polled(cells, index, shots, free, heard, deny)
+    index, _, could, _ = polled(cells, index, shots, free, known, 1.0)
     enough = (seen >= SHOWN * len(shots)) & (told >= HEARD * could) & (told >= KNOWN * len(shots))
     out = solid.copy()
     out[index[enough & (denied <= deny * told)]] = True
@@ -248,7 +248,7 @@ def standing(
             break
         under |= there & lowest[above]
     index = index[under]
-    index, seen, told, denied = _polled(cells, index, shots, free, known, BARELY)
+    index, seen, told, denied = polled(cells, index, shots, free, known, BARELY)
     back = (seen >= SHOWN * len(shots)) & (told >= KNOWN * len(shots)) & (denied <= BARELY * told)
     out = solid.copy()
     out[index[back]] = True
@@ -263,7 +263,7 @@ def _at(cells: Cells, points: F64) -> tuple[Ints, Bools]:
     return (x * cells.n + y) * cells.n + z, np.asarray(there)
 
 
-def _polled(
+def polled(
     cells: Cells, index: Ints, shots: list[Shot], free: list[Bools], known: list[Bools], deny: float
 ) -> tuple[Ints, Ints, Ints, Ints]:
     """The cells that may still be solid, and how many photos show, can tell of and deny each.

@@ -20,6 +20,7 @@ from refdgs_pipe.masking.colours import with_colour
 from refdgs_pipe.masking.cut import cut
 from refdgs_pipe.masking.files import distorted, write_masks
 from refdgs_pipe.masking.finding import agreement, object_masks
+from refdgs_pipe.masking.held import held
 from refdgs_pipe.masking.solid import (
     Cells,
     agreed,
@@ -254,6 +255,32 @@ def test_what_two_photos_ask_for_comes_back_although_one_photo_asks_for_too_much
     assert added.sum() > 0.01 * solid.sum()
     assert np.mean(away[added] < 1.1 * RADIUS) > 0.9
     assert (covering(cells, solid, shots, free, known, sure, turns=True) == solid).all()
+
+
+@pytest.mark.parametrize("denying", [0, 3])
+def test_what_photos_above_the_plane_agree_on_is_held_for_solid(denying: int) -> None:
+    """Photos from above tell by the plane; low ones cannot, and are told what they may show."""
+    cells = grid(BALL, UP, 0.0, 48)
+    shots, truth = ring_of_shots(24)
+    values = [np.where(t, -2.0, 2.0).astype(np.float32) for t in truth]
+    for i in range(0, 2 * denying, 2):
+        values[i][:] = 2.0  # takes the object for the plane
+    asked = [np.full(t.shape, i % 2 == 0) for i, t in enumerate(truth)]
+    seen = held(cells, shots, values, asked)
+    if denying:  # more than a tenth of those that can tell
+        assert not any(one.any() for one in seen)
+        return
+    for one, whole in zip(seen[1::2], truth[1::2], strict=True):
+        assert one[whole].mean() > 0.97
+        assert one[~whole].mean() < 0.04
+
+
+def test_nothing_is_held_where_few_photos_can_tell() -> None:
+    cells = grid(BALL, UP, 0.0, 48)
+    shots, truth = ring_of_shots(24)
+    values = [np.where(t, -2.0, 2.0).astype(np.float32) for t in truth]
+    asked = [np.full(t.shape, i % 3 == 0) for i, t in enumerate(truth)]
+    assert not any(one.any() for one in held(cells, shots, values, asked))
 
 
 def many_photos(
