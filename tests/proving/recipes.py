@@ -140,6 +140,55 @@ RECIPES = {
     "chalice": Recipe(m.trophy, p.stone, "room_b", p.rings, seed=1306, checking=True),
     "monitor": Recipe(d.screen, p.planks, "room_b", p.rings, seed=1205, checking=True),
     "lollipop": Recipe(k.globe, p.planks, "studio", p.rings, seed=1203, checking=True),
+    "gong": Recipe(d.clock, p.mosaic, "office", p.rings, seed=1309, inside=(0.9, -0.6)),
+    "tuner": Recipe(
+        s.radio, papers, "office", p.rings, seed=1501, inside=(0.4, -0.3), drift=0.4, tint=0.06
+    ),
+    "wireless": Recipe(
+        s.radio, p.planks, "office", p.rings, seed=1303, checking=True, inside=(-1.2, 0.5)
+    ),
+    "stew": Recipe(
+        k.saucepan, p.mosaic, "room_b", p.rings, seed=1304, checking=True, inside=(0.0, 0.0)
+    ),
+    "scent": Recipe(
+        h.bottle, p.gingham, "attic", p.rings, seed=1307, checking=True, inside=(1.4, 0.8)
+    ),
+    "prize": Recipe(
+        m.trophy, p.stone, "room_b", p.rings, seed=1306, checking=True, inside=(-0.8, -1.0)
+    ),
+    "pens": Recipe(
+        m.holder, p.planks, "office", p.rings, seed=1301, checking=True, inside=(0.5, 1.2)
+    ),
+    "omelette": Recipe(
+        h.skillet,
+        p.planks,
+        "room_b",
+        p.spiral,
+        seed=1502,
+        checking=True,
+        inside=(-1.1, 0.2),
+        drift=0.4,
+        tint=0.06,
+    ),
+    "urn": Recipe(
+        k.vase, p.stone, "attic", p.spiral, seed=1405, checking=True, inside=(-0.6, -0.3)
+    ),
+    "mobile": Recipe(
+        m.phone, papers, "room_b", p.rings, seed=1406, checking=True, inside=(1.2, -0.4)
+    ),
+    "puppy": Recipe(
+        s.dog,
+        p.planks,
+        "attic",
+        b.near_and_far,
+        seed=1407,
+        checking=True,
+        photos=28,
+        inside=(-1.5, 1.0),
+    ),
+    "toast": Recipe(
+        o.toaster, p.mosaic, "office", p.spiral, seed=1408, checking=True, inside=(0.0, 1.1)
+    ),
     "mat": Recipe(k.vase, p.placemat, "attic", p.spiral, seed=81, checking=True),
     "label": Recipe(
         w.medicine,
