@@ -22,8 +22,9 @@ FEWEST = 200  # cells that a photo has to show
 ROUNDS = 8
 SMALLEST = 0.06  # of a factor's logarithm, in any photo: less is not evened
 PARTS = 8  # of the picture along an edge, in which the light may differ
-LOOSE = 0.06  # median distance of a photo's parts from its factor, above which it tells nothing
-CLEAR = 3.0  # times that distance: the factor has to be larger
+LOOSE = 0.06  # median distance of a photo's parts from its factor, above which it tells nothing,
+SURE = 6.0  # unless the factor is as many times as large
+CLEAR = 3.0  # times that distance: in one photo at least, the factor has to be larger
 
 
 def gains_of(
@@ -56,8 +57,10 @@ def gains_of(
 
     seen = np.stack(mapped(flat, model.cameras, threads))
     logs, apart = factors(seen)
-    told = (np.isfinite(seen[..., 0]).sum((1, 2)) >= FEWEST) & (apart < LOOSE)
-    clear = np.abs(logs).max(1) > np.maximum(SMALLEST, CLEAR * apart)
+    size = np.abs(logs).max(1)
+    told = np.isfinite(seen[..., 0]).sum((1, 2)) >= FEWEST
+    told &= (apart < LOOSE) | (size > SURE * apart)
+    clear = size > np.maximum(SMALLEST, CLEAR * apart)
     if not (told & clear).any():
         return {}
     logs[~told] = 0.0
@@ -96,4 +99,4 @@ def _parts(values: F64) -> F64:
     blocks = values[: side * PARTS, : side * PARTS].reshape(PARTS, side, PARTS, side)
     parts = blocks.transpose(0, 2, 1, 3).reshape(PARTS**2, -1)
     parts = parts[np.isfinite(parts).mean(1) > 0.5]
-    return np.asarray(np.median(np.nan_to_num(parts), 1))
+    return np.asarray(np.nanmedian(parts, 1))
