@@ -22,8 +22,8 @@ FEWEST = 200  # cells that a photo has to show
 ROUNDS = 8
 SMALLEST = 0.06  # of a factor's logarithm, in any photo: less is not evened
 PARTS = 8  # of the picture along an edge, in which the light may differ
-LOOSE = 0.06  # median distance of a photo's parts from its factor, above which it tells nothing,
-SURE = 6.0  # unless the factor is as many times as large
+LOOSE = 0.06  # median distance of a photo's parts from its factor, above which it tells nothing
+SURE = 6.0  # times that distance: a factor as large tells nevertheless
 CLEAR = 3.0  # times that distance: in one photo at least, the factor has to be larger
 
 
@@ -61,7 +61,7 @@ def gains_of(
     told = np.isfinite(seen[..., 0]).sum((1, 2)) >= FEWEST
     told &= (apart < LOOSE) | (size > SURE * apart)
     clear = size > np.maximum(SMALLEST, CLEAR * apart)
-    if not (told & clear).any():
+    if not (told & clear).any() or np.median(apart) > LOOSE:  # then the light moves
         return {}
     logs[~told] = 0.0
     named = zip(model.names, np.exp(-logs), strict=True)

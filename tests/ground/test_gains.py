@@ -72,6 +72,20 @@ def test_light_that_moves_over_the_ground_is_no_exposure() -> None:
     assert apart.max() < 1e-6
 
 
+def test_photos_under_a_light_that_moves_are_not_evened(tmp_path: Path) -> None:
+    """Most are lit from a side of their own. The other three would tell of their exposure."""
+    views, cameras = capture(tmp_path, dim())
+    for i, camera in enumerate(cameras):
+        path = tmp_path / f"{camera.name}.png"
+        with Image.open(path) as image:
+            linear = linear_from_srgb(np.asarray(image, np.float32) / 255)
+        ramp = np.linspace(0.6, 1.5, linear.shape[1], dtype=np.float32)[None, :, None]
+        sides = ramp if i % 2 else ramp[:, ::-1]
+        lit = linear * (sides if i > 2 else (1.0, 1.3, 0.8)[i])
+        Image.fromarray((srgb_from_linear(lit) * 255).round().astype(np.uint8)).save(path)
+    assert evened(views, right_model(cameras)).gains == {}
+
+
 def test_a_photo_without_the_ground_has_no_factor() -> None:
     seen = np.zeros((5, 32, 32, 3), np.float32)
     seen[3] = np.nan
