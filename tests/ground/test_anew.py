@@ -6,7 +6,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from PIL import Image
 from printed_ground import PLANE, SIZE, blots, capture, errors, nothing, right_model
 
 from refdgs_pipe.artifacts.sparse_model import SparseModel
@@ -59,13 +58,17 @@ def test_a_photo_of_another_ground_gets_no_place(tmp_path: Path) -> None:
     assert placed(views, cameras, *LOST).names == ["IMG_00"]
 
 
-def test_a_mirrored_photo_gets_no_place(tmp_path: Path) -> None:
-    """A camera below the ground would see it so."""
+def test_no_photo_is_placed_below_the_ground(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From there, the ground is mirrored: mirrored photos would fit."""
     views, cameras = capture(tmp_path, blots())
-    path = tmp_path / "IMG_07.png"
-    with Image.open(path) as image:
-        image.transpose(Image.Transpose.FLIP_LEFT_RIGHT).save(path)
-    assert placed(views, cameras, *LOST).names == ["IMG_00"]
+    above = cameras[7].cam_from_world
+    below = above @ np.diag([1.0, 1.0, -1.0, 1.0])
+    for pose, names in ((above, [*LOST]), (below, [])):
+        monkeypatch.setattr(anew, "_agreed", lambda *_, found=pose: found)
+        monkeypatch.setattr(anew, "_refined", lambda *given: given[-1])
+        assert placed(views, cameras, *LOST).names == names
 
 
 def test_no_photo_is_placed_on_a_ground_that_repeats(tmp_path: Path) -> None:
