@@ -134,6 +134,21 @@ def center_of(cam_from_world: F64) -> F64:
     return np.asarray(-cam_from_world[:3, :3].T @ cam_from_world[:3, 3], np.float64)
 
 
+def look_at(eye: F64, target: F64, up: F64) -> F64:
+    """(4, 4) cam_from_world of a camera at `eye` that looks at `target`, upright; world units.
+
+    Args:
+        up: (3,) not along the line of sight.
+    """
+    forward = (target - eye) / np.linalg.norm(target - eye)
+    right = np.cross(forward, up)
+    right /= np.linalg.norm(right)
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward])
+    pose[:3, 3] = -pose[:3, :3] @ eye
+    return pose
+
+
 def opencv_from_opengl(world_from_cam: F64) -> F64:
     """cam_from_world (OpenCV) of an OpenGL camera-to-world matrix (y up, looks along -z)."""
     flipped = world_from_cam @ np.diag([1.0, -1.0, -1.0, 1.0])

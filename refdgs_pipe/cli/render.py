@@ -4,9 +4,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from refdgs_pipe.camera import Camera
+from refdgs_pipe.camera import Camera, look_at
 from refdgs_pipe.cli.device import choose_device, core_count
 from refdgs_pipe.cli.workspace import Workspace
 from refdgs_pipe.errors import InputError
@@ -75,19 +74,6 @@ def orbit_cameras(model: Any, count: int) -> list[Camera]:
         name = f"orbit_{i:03d}"
         cameras.append(Camera(name, first.width, first.height, first.K, pose, "test"))
     return cameras
-
-
-def look_at(
-    eye: NDArray[np.float64], target: NDArray[np.float64], up: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """(4, 4) cam_from_world of a camera at `eye` that looks at `target`, world units."""
-    forward = (target - eye) / np.linalg.norm(target - eye)
-    right = np.cross(forward, up)
-    right /= np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward])
-    pose[:3, 3] = -pose[:3, :3] @ eye
-    return pose
 
 
 def _load(space: Workspace, stage: str) -> Any:

@@ -14,7 +14,7 @@ import numpy as np
 
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.views import Views
-from refdgs_pipe.camera import F64, Camera, center_of
+from refdgs_pipe.camera import F64, Camera, center_of, look_at
 from refdgs_pipe.ground.adjust import State, adjusted, misses
 from refdgs_pipe.ground.plane import Ground
 from refdgs_pipe.ground.register import (
@@ -71,7 +71,10 @@ def placed_anew(
         progress: told the photos done and their number; may raise.
 
     Returns:
-        Name -> (4, 4) cam_from_world, of the photos that fit.
+        Name -> (4, 4) cam_from_world, of the photos that fit; empty on a ground that repeats.
+
+    Raises:
+        CorruptError: a photo is missing or damaged.
     """
     right = [camera for camera in model.cameras if camera.name not in apart]
     frames = mapped(lambda camera: frame_of(views, model, camera, 0), right, threads)
@@ -100,7 +103,7 @@ def placed_anew(
 
 
 def _supposed(camera: Camera, others: list[Camera], center: F64, up: F64) -> list[Camera]:
-    """Cameras all round at heights and the distance of the others."""
+    """Cameras all round the object, as high and as far away as the others are."""
     away = np.stack([other.center for other in others]) - center
     distance = np.linalg.norm(away, axis=1)
     elevations = np.arcsin(np.clip(away @ up / distance, -1, 1))
@@ -113,22 +116,12 @@ def _supposed(camera: Camera, others: list[Camera], center: F64, up: F64) -> lis
         for azimuth in 2 * np.pi * np.arange(AZIMUTHS) / AZIMUTHS:
             side = np.cos(azimuth) * a + np.sin(azimuth) * b
             eye = center + float(np.median(distance)) * (np.cos(e) * side + np.sin(e) * up)
-            out.append(replace(camera, cam_from_world=_looking(eye, center, up)))
+            out.append(replace(camera, cam_from_world=look_at(eye, center, up)))
     return out
 
 
-def _looking(eye: F64, at: F64, up: F64) -> F64:
-    """(4, 4) cam_from_world of a camera that looks at a point, upright."""
-    z = (at - eye) / np.linalg.norm(at - eye)
-    x = np.cross(z, up)
-    x /= max(float(np.linalg.norm(x)), 1e-12)
-    pose = np.eye(4)
-    pose[:3, :3] = np.stack([x, np.cross(z, x), z])
-    pose[:3, 3] = -pose[:3, :3] @ eye
-    return pose
-
-
 def _guess(camera: Camera, picture: F32, ground: Ground) -> _Guess:
+    """The picture (n, n) of the ground, and its features, as a camera would see them."""
     expected = ground.drawn(picture, camera)
     known = np.isfinite(expected).astype(np.uint8)
     inner = cv2.erode(known, np.ones((PATCH, PATCH), np.uint8))
@@ -183,7 +176,7 @@ def _agreed(guess: _Guess, pixels: F64, looks: F32) -> F64 | None:
         return None
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = cv2.Rodrigues(turn)[0], shift[:, 0]
-    return pose
+    return pose if np.isfinite(pose).all() else None
 
 
 def _refined(frame: Frame, image: F32, picture: F32, ground: Ground, pose: F64) -> F64 | None:
@@ -205,7 +198,10 @@ def _refined(frame: Frame, image: F32, picture: F32, ground: Ground, pose: F64) 
 
 
 def likeness(picture: F32) -> float:
-    """The largest correlation of the picture with itself, moved by a period or more."""
+    """The largest correlation of a picture (n, n) with itself, moved by `PERIOD` or farther.
+
+    NaN is unknown; moves that leave less than a fifth of the picture to compare do not count.
+    """
     known = np.isfinite(picture)
     n = len(picture)
     values = np.where(known, picture, 0.0)

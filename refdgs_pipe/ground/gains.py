@@ -73,6 +73,9 @@ def factors(seen: F32) -> tuple[F64, F64]:
 
     Args:
         seen: (N, n, n, 3) logarithms of the ground's colour in each photo; NaN where unknown.
+
+    Returns:
+        0 and infinity for a photo that shows nothing of the ground that another one shows.
     """
     logs, apart = np.zeros((len(seen), 3)), np.full(len(seen), np.inf)
     known = np.isfinite(seen[..., 0])

@@ -18,7 +18,7 @@ def held(cells: Cells, shots: list[Shot], values: list[F32], asked: list[Bools])
 
     Args:
         values: (H, W) evidence for what is behind the object.
-        asked: (H, W) where it is the plane's, and known.
+        asked: (H, W) where this evidence comes from the plane, and is known.
     """
     free = [~(a & (v > CLEARLY)) for a, v in zip(asked, values, strict=True)]
     index = np.flatnonzero(cells.inside)

@@ -10,7 +10,7 @@ from printed_ground import PLANE, SIZE, blots, capture, errors, nothing, right_m
 
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.views import Views
-from refdgs_pipe.camera import Camera
+from refdgs_pipe.camera import Camera, look_at
 from refdgs_pipe.ground import anew
 from refdgs_pipe.ground.anew import placed_anew
 from refdgs_pipe.sfm.on_ground import laid_on_ground
@@ -112,7 +112,7 @@ def test_a_picture_is_seen_from_all_round() -> None:
     one = Camera("one", *SIZE, K, np.eye(4))
     up = np.array([0.0, 0.0, 1.0])
     others = [
-        replace(one, cam_from_world=anew._looking(np.array([x, 0.0, z]), np.zeros(3), up))
+        replace(one, cam_from_world=look_at(np.array([x, 0.0, z]), np.zeros(3), up))
         for x, z in ((3.0, 1.0), (2.0, 2.0), (1.0, 3.0))
     ]
     supposed = anew._supposed(one, others, np.zeros(3), up)

@@ -5,8 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from refdgs_pipe.artifacts.lighting import angle_of, turned
-from refdgs_pipe.camera import Camera
-from refdgs_pipe.cli.render import look_at
+from refdgs_pipe.camera import Camera, look_at
 from refdgs_pipe.lighting.rings import find_rings
 
 F64 = NDArray[np.float64]
