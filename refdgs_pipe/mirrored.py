@@ -1,15 +1,15 @@
 """How well views agree on what a surface mirrors.
 
 A mirror shows the same light wherever it reflects rays into the same direction, as long as what it
-shows is far away; and where it reflects them to the same place of the ground. With wrong normals,
-views disagree on the light from one direction. So two shapes of a part can be compared by the
-pictures alone, although the colours of a mirror tell nothing of its depth.
+shows is far away; and where it reflects them to the same place of the ground, or of the walls of a
+room. With wrong normals, views disagree on the light from there. So two shapes of a part can be
+compared by the pictures alone, although the colours of a mirror tell nothing of its depth.
 
 A matte place has one colour in all views instead. Where neither holds, the surface is not where the
 views saw something: it may be a lid over a hollow, or a bulge.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,6 +33,7 @@ _SAME = np.radians(4.0)  # between directions that show the same light
 _ASKED = 4000  # samples that are compared with others
 _PARTNERS = 5  # samples of other views that a sample is compared with, at least
 _REACH = 3.0  # ball radii: ground farther away counts as far
+_AWAY = (16.0, 8.0, 4.0)  # ball radii: how far walls may be that are not infinitely far away
 _VIEWS = 4  # that have to see a place
 _MISFIT = 0.08  # sRGB, of colours that agree
 _ASKED_ALL, _COMPARED = 30_000, 60_000
@@ -64,6 +65,29 @@ class Glimpse:
         there = np.where(view.alpha >= _ALPHA, view.depth, 0)
         depth = cv2.resize(there, size, interpolation=cv2.INTER_NEAREST)
         return cls(camera, color, depth)
+
+
+@dataclass(frozen=True)
+class Room:
+    """What a surface mirrors, as if it were a picture on a sphere.
+
+    Args:
+        center: (3,) of the sphere, world space; distance: its radius, world units.
+    """
+
+    center: F64
+    distance: float
+
+    def met(self, points: F64, away: F64) -> F64:
+        """(N, 3) unit vectors to where rays from points (N, 3) in it meet it.
+
+        Args:
+            away: (N, 3) the rays' unit directions.
+        """
+        start = (points - self.center) / self.distance
+        along = (start * away).sum(1)
+        depth = along**2 + 1 - (start**2).sum(1)
+        return np.asarray(start + (np.sqrt(np.maximum(depth, 0)) - along)[:, None] * away)
 
 
 @dataclass(frozen=True)
@@ -108,6 +132,7 @@ def mirror_agreement(
     near: float,
     ground: F64 | None = None,
     radius: float = 1.0,
+    room: Room | None = None,
 ) -> Agreement:
     """How well views agree on the light that a surface would mirror.
 
@@ -116,8 +141,11 @@ def mirror_agreement(
         near: a place is seen where the view's depth is its own but for this, world units.
         ground: (3,) unit normal of the ground through the world's origin, if it is known.
         radius: of the object ball, world units.
+        room: what is mirrored beside the ground; None: it is infinitely far away.
     """
-    samples = _samples(points, normals, glimpses, near=near, ground=ground, radius=radius)
+    samples = _samples(
+        points, normals, glimpses, near=near, ground=ground, radius=radius, room=room
+    )
     if not len(samples.key):
         return Agreement(np.nan, 0.0, 0)
     middle = np.median(samples.color, axis=0)
@@ -127,9 +155,53 @@ def mirror_agreement(
     return Agreement(misfit, spread, len(misses), float(middle.mean()))
 
 
-def mirror_misfits(points: F64, normals: F64, glimpses: Iterable[Glimpse], *, near: float) -> F64:
+def best_agreement(
+    points: F64,
+    normals: F64,
+    glimpses: Sequence[Glimpse],
+    *,
+    near: float,
+    center: F64,
+    radius: float,
+    enough: int,
+    ground: F64 | None = None,
+) -> tuple[Agreement, Room | None]:
+    """How well views agree on the light that a surface would mirror, from whatever distance.
+
+    Few photos see one direction mirrored if they are taken from far apart, and none of them agree
+    on directions if walls are near. So rooms of several sizes are tried.
+
+    Args:
+        points, normals, glimpses, near, ground: as `mirror_agreement` has them.
+        center, radius: of the object ball, world units.
+        enough: samples that have to be compared.
+
+    Returns:
+        The agreement with the least misfit, and its room (None: infinitely far away). The one with
+        the most samples if all have too few.
+    """
+    tried = []
+    for room in (None, *(Room(center, away * radius) for away in _AWAY)):
+        found = mirror_agreement(
+            points, normals, glimpses, near=near, ground=ground, radius=radius, room=room
+        )
+        tried.append((found, room))
+    told = [one for one in tried if one[0].count >= enough]
+    if told:
+        return min(told, key=lambda one: one[0].misfit)
+    return max(tried, key=lambda one: one[0].count)
+
+
+def mirror_misfits(
+    points: F64,
+    normals: F64,
+    glimpses: Iterable[Glimpse],
+    *,
+    near: float,
+    room: Room | None = None,
+) -> F64:
     """(N,) the misfit of `mirror_agreement` at each point; NaN where nothing can be compared."""
-    samples = _samples(points, normals, glimpses, near=near, ground=None, radius=1.0)
+    samples = _samples(points, normals, glimpses, near=near, ground=None, radius=1.0, room=room)
     if not len(samples.key):
         return np.full(len(points), np.nan)
     rows, misses = _misses(samples, _ASKED_ALL, _COMPARED)
@@ -201,6 +273,7 @@ def _samples(
     near: float,
     ground: F64 | None,
     radius: float,
+    room: Room | None = None,
 ) -> _Samples:
     """What all views see of points, and where it would come from by reflection."""
     point, view = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
@@ -211,7 +284,7 @@ def _samples(
         toward /= np.linalg.norm(toward, axis=1, keepdims=True)
         facing = (toward * normals[rows]).sum(1, keepdims=True)
         away = toward - 2 * facing * normals[rows]
-        keys = _keys(points[rows], away, ground, radius)
+        keys = _keys(points[rows], away, ground, radius, room)
         key.append(np.concatenate([keys, _TURNED * normals[rows]], axis=1))
         point.append(rows)
         color.append(seen)
@@ -258,13 +331,14 @@ def _seen(points: F64, normals: F64, glimpse: Glimpse, near: float) -> tuple[Int
     return rows[free], glimpse.color[row[free], column[free]].astype(np.float64)
 
 
-def _keys(points: F64, away: F64, ground: F64 | None, radius: float) -> F64:
-    """(N, 4) coordinates that are near for rays which meet the same: far, or on the ground.
+def _keys(points: F64, away: F64, ground: F64 | None, radius: float, room: Room | None) -> F64:
+    """(N, 4) coordinates that are near for rays which meet the same: room, or ground.
 
     Args:
         away: (N, 3) unit directions of the mirrored rays.
     """
-    keys = np.concatenate([away, np.zeros((len(away), 1))], axis=1)
+    far = away if room is None else room.met(points, away)
+    keys = np.concatenate([far, np.zeros((len(away), 1))], axis=1)
     if ground is None:
         return keys
     height, falling = points @ ground, away @ ground

@@ -11,7 +11,7 @@ from refdgs_pipe.pipeline.stage import Job, stage
 from refdgs_pipe.training.settings import StartParams
 
 
-@stage(version=9, by_device=True)
+@stage(version=10, by_device=True)
 def start(views: Views, masks: Masks, model: SparseModel, params: StartParams, job: Job) -> Start:
     """Find the object in masks, by a first look or by stereo, and lay surfels on it."""
     import torch

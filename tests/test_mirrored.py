@@ -12,7 +12,7 @@ from refdgs_pipe.artifacts.mesh import TriangleMesh
 from refdgs_pipe.artifacts.surface_map import SurfaceMap
 from refdgs_pipe.camera import Camera
 from refdgs_pipe.irradiance import links_of
-from refdgs_pipe.mirrored import Glimpse, mirror_agreement, unexplained
+from refdgs_pipe.mirrored import Glimpse, Room, mirror_agreement, unexplained
 from refdgs_pipe.ray_casting import Solid
 from refdgs_pipe.surface.flats import Mirrored, flats_of, flattened
 
@@ -42,6 +42,11 @@ def far(_: F64, away: F64) -> F64:
     """A room: stripes by direction."""
     wave = [np.sin(5 * away[:, 0]), np.sin(6 * away[:, 1] + 1), np.sin(9 * away[:, 0])]
     return 0.5 + 0.4 * np.stack(wave, -1)
+
+
+def walls(places: F64, away: F64) -> F64:
+    """The same room with walls on a sphere round the object, four of its sizes away."""
+    return far(places, Room(np.zeros(3), 4.0 * DIAMETER / 2).met(places, away))
 
 
 def plain(_: F64, away: F64) -> F64:
@@ -101,14 +106,15 @@ def upper(mesh: TriangleMesh, glimpses: list[Glimpse]) -> tuple[bool, TriangleMe
         told,
         limit=LIMIT,
         diameter=DIAMETER,
-        mirrored=Mirrored(glimpses),
+        mirrored=Mirrored(glimpses, np.zeros(3)),
     )
     return any(flat.normal[2] > 0.9 for flat in flats), flattened(mesh, flats)
 
 
-def test_a_bulge_that_mirrors_as_a_plane_becomes_one() -> None:
+@pytest.mark.parametrize("light", [far, walls])
+def test_a_bulge_that_mirrors_as_a_plane_becomes_one(light: Light) -> None:
     mesh = bulged_box(0.06)
-    is_flat, done = upper(mesh, glimpses_of(mesh, bulged_box(0), far))
+    is_flat, done = upper(mesh, glimpses_of(mesh, bulged_box(0), light))
     assert is_flat
     top = (np.abs(mesh.vertices[:, :2]) < HALF[:2] - 0.1).all(1) & (mesh.vertices[:, 2] > 0.2)
     assert np.abs(mesh.vertices[top, 2] - HALF[2]).max() > 0.05

@@ -22,7 +22,13 @@ from scipy.sparse.csgraph import dijkstra
 
 from refdgs_pipe.artifacts.mesh import TriangleMesh
 from refdgs_pipe.irradiance import links_of
-from refdgs_pipe.mirrored import STANDS_OUT, Agreement, Glimpse, mirror_agreement, mirror_misfits
+from refdgs_pipe.mirrored import (
+    STANDS_OUT,
+    Glimpse,
+    Room,
+    best_agreement,
+    mirror_misfits,
+)
 from refdgs_pipe.surface.net import Net, pieces_of, plane_of
 from refdgs_pipe.surface.silhouettes import MOST, spread_evenly
 
@@ -72,10 +78,12 @@ class Mirrored:
 
     Args:
         glimpses: of the training cameras.
+        center: (3,) of the object ball, world space.
         ground: (3,) unit normal of the ground through the world's origin; None if not known.
     """
 
     glimpses: Sequence[Glimpse]
+    center: F64
     ground: F64 | None = None
 
 
@@ -175,7 +183,7 @@ def _bulges(
             center, normal = _lower_plane(net.points[firm], net.area[firm] * held[firm], outwards)
             seen_flat = _mirrored_as_plane(net, part, center, normal, mirrored, diameter)
             if seen_flat is not None:
-                part &= ~_stands_on(net, part, center, normal, mirrored, seen_flat.spread)
+                part &= ~_stands_on(net, part, center, normal, mirrored, *seen_flat)
                 free &= ~part
                 found.append(Flat(np.flatnonzero(part), center, normal))
     return found
@@ -191,38 +199,50 @@ def _steepest(net: Net, glimpses: Sequence[Glimpse]) -> F64:
 
 def _mirrored_as_plane(
     net: Net, part: Bools, center: F64, normal: F64, mirrored: Mirrored, diameter: float
-) -> Agreement | None:
-    """How views agree on the plane; None if not far better than on the part as it is."""
+) -> tuple[float, Room | None] | None:
+    """The spread of the colours that views see of the plane, sRGB, and the room that it mirrors.
+
+    None if views do not agree far better on the plane than on the part as it is.
+    """
     points = net.points[part]
     plane = points - ((points - center) @ normal)[:, None] * normal
     shapes = ((points, net.smooth[part]), (plane, np.tile(normal, (len(plane), 1))))
-    now, flat = (
-        mirror_agreement(
+    (now, _), (flat, room) = (
+        best_agreement(
             *shape,
             mirrored.glimpses,
             near=SEEN * diameter,
-            ground=mirrored.ground,
+            center=mirrored.center,
             radius=diameter / 2,
+            enough=ENOUGH,
+            ground=mirrored.ground,
         )
         for shape in shapes
     )
     if min(now.count, flat.count) < ENOUGH or flat.spread < TOLD_APART:
         return None
-    return flat if flat.misfit <= AGREES * min(now.misfit, flat.spread) else None
+    agrees = flat.misfit <= AGREES * min(now.misfit, flat.spread)
+    return (flat.spread, room) if agrees else None
 
 
 def _stands_on(
-    net: Net, part: Bools, center: F64, normal: F64, mirrored: Mirrored, spread: float
+    net: Net,
+    part: Bools,
+    center: F64,
+    normal: F64,
+    mirrored: Mirrored,
+    spread: float,
+    room: Room | None,
 ) -> Bools:
     """(V,) what stands on the plane of a part, such as a knob, as `STANDS_OUT` has it.
 
     Args:
-        spread: of the colours that views see of the plane, sRGB.
+        spread, room: as from `_mirrored_as_plane`.
     """
     rows = np.flatnonzero(part)
     points = net.points[rows] - ((net.points[rows] - center) @ normal)[:, None] * normal
     normals = np.tile(normal, (len(rows), 1))
-    misfits = mirror_misfits(points, normals, mirrored.glimpses, near=np.inf)
+    misfits = mirror_misfits(points, normals, mirrored.glimpses, near=np.inf, room=room)
     stands = np.zeros(len(part))
     stands[rows] = misfits > STANDS_OUT * spread
     beside = np.asarray(net.beside @ stands) / np.maximum(net.beside.sum(1), 1)

@@ -86,7 +86,7 @@ def fitted(
             fit.told,
             limit=limit,
             diameter=diameter,
-            mirrored=Mirrored(glimpses, ground),
+            mirrored=Mirrored(glimpses, model.ball.center, ground),
         )
     moved = flattened(fit.mesh, flats)
     moved = with_walls(moved, outlines, limit=limit, faces=faces)

@@ -1,14 +1,13 @@
 """Vessels: whether a lid that silhouettes leave on an object is its top, or the mouth of a hollow.
 
 Silhouettes close every hollow, also a bowl's. Photo agreement opens those whose inside is matte; a
-polished inside agrees on nothing. Here both answers are tried: a short training from the closed
-solid and one from a vessel with walls of even thickness, each judged by photos that it did not
-see, where they show the lid. The vessel has to explain them clearly better.
+polished inside agrees on nothing. `inside.py` and `seen_below.py` look for the inside of such a
+vessel, each in another way.
 
-A flat mirror fails this trial: a short training explains its reflections by a hollow with painted
-walls. But photos that see one direction mirrored in it agree on what they see, and photos of a
-hollow do not. Such a lid stays closed. Silhouettes bulge on it as steeply as the lowest camera
-looks, so the bulge is cut off.
+A flat mirror deceives both: what it mirrors looks like the inside of a hollow. But photos that see
+one place of the room mirrored in it agree on what they see, and photos of a hollow do not. Such a
+lid stays closed. Silhouettes bulge on it as steeply as the lowest camera looks, so the bulge is cut
+off.
 
 If the lowest camera looks down steeply, silhouettes leave a roof on a flat top or on a mouth. It is
 too steep for a lid, but no steeper than that camera looks. The level part below it is judged.
@@ -29,8 +28,16 @@ from scipy.ndimage import (
     minimum_filter,
 )
 
+from refdgs_pipe.artifacts.sparse_model import Ball
 from refdgs_pipe.camera import F64, Camera
-from refdgs_pipe.mirrored import STANDS_OUT, Agreement, Glimpse, mirror_agreement, mirror_misfits
+from refdgs_pipe.mirrored import (
+    STANDS_OUT,
+    Agreement,
+    Glimpse,
+    Room,
+    best_agreement,
+    mirror_misfits,
+)
 from refdgs_pipe.training.carving import boundary
 from refdgs_pipe.training.initial import F32, Hull
 from refdgs_pipe.training.photos import TrainingPhoto
@@ -154,11 +161,13 @@ class Plateau:
     Args:
         points: (N, 3) world, one for each column of the grid; normal: (3,) unit, up.
         bulge: (n, n, n) the cells of the hull above them.
+        ball: that the object lives in.
     """
 
     points: F64
     normal: F64
     bulge: Bools
+    ball: Ball
 
 
 def find_plateau(hull: Hull, lid: F64, up: F64) -> Plateau | None:
@@ -194,7 +203,7 @@ def find_plateau(hull: Hull, lid: F64, up: F64) -> Plateau | None:
     above = np.zeros_like(cells)
     above[tuple(rows.T)] = np.arange(n) > best
     bulge = np.moveaxis((above & cells)[:, :, ::step], 2, axis)
-    return Plateau(points, step * np.eye(3)[axis], bulge)
+    return Plateau(points, step * np.eye(3)[axis], bulge, hull.ball)
 
 
 def _columns(hull: Hull, points: F64, axis: int) -> NDArray[np.int64]:
@@ -236,7 +245,7 @@ def mirror_misfit(photos: Sequence[TrainingPhoto], plateau: Plateau) -> float | 
         Their mean difference by the spread of the part's colours, below A_MIRROR for a mirror; None
         where too few can be compared.
     """
-    found = _mirrored_in(photos, plateau)
+    found, _ = _mirrored_in(photos, plateau)
     if found.count < ENOUGH or found.spread < PLAIN:
         return None
     return found.misfit / found.spread
@@ -244,7 +253,7 @@ def mirror_misfit(photos: Sequence[TrainingPhoto], plateau: Plateau) -> float | 
 
 def is_flat_top(photos: Sequence[TrainingPhoto], plateau: Plateau) -> bool:
     """Whether the level part under a roof is a flat mirror, or has one colour, without shading."""
-    found = _mirrored_in(photos, plateau)
+    found, _ = _mirrored_in(photos, plateau)
     return bool(found.count >= ENOUGH and found.misfit < A_MIRROR * _scale(found))
 
 
@@ -256,8 +265,9 @@ def without_roof(hull: Hull, photos: Sequence[TrainingPhoto], plateau: Plateau) 
     """
     normals = np.tile(plateau.normal, (len(plateau.points), 1))
     glimpses = [_glimpse(photo) for photo in photos]
-    misfits = mirror_misfits(plateau.points, normals, glimpses, near=np.inf)
-    limit = STANDS_OUT * _scale(_mirrored_in(photos, plateau))
+    found, room = _mirrored_in(photos, plateau)
+    misfits = mirror_misfits(plateau.points, normals, glimpses, near=np.inf, room=room)
+    limit = STANDS_OUT * _scale(found)
     axis = int(np.abs(plateau.normal).argmax())
     stands = np.zeros((len(hull.ticks),) * 2, np.bool_)
     stands[tuple(_columns(hull, plateau.points[misfits > limit], axis).T)] = True
@@ -270,11 +280,20 @@ def _scale(found: Agreement) -> float:
     return max(found.spread, UNSHADED * found.level)
 
 
-def _mirrored_in(photos: Sequence[TrainingPhoto], plateau: Plateau) -> Agreement:
-    """How photos agree on what a level part would mirror."""
-    glimpses = [_glimpse(photo) for photo in photos]
-    normals = np.tile(plateau.normal, (len(plateau.points), 1))
-    return mirror_agreement(plateau.points, normals, glimpses, near=np.inf)
+def _mirrored_in(
+    photos: Sequence[TrainingPhoto], plateau: Plateau
+) -> tuple[Agreement, Room | None]:
+    """How photos agree on what a level part would mirror, and the room where they agree best."""
+    ball = plateau.ball
+    return best_agreement(
+        plateau.points,
+        np.tile(plateau.normal, (len(plateau.points), 1)),
+        [_glimpse(photo) for photo in photos],
+        near=np.inf,
+        center=ball.center,
+        radius=ball.radius,
+        enough=ENOUGH,
+    )
 
 
 def _glimpse(photo: TrainingPhoto) -> Glimpse:

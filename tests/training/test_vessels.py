@@ -9,6 +9,7 @@ import torch
 
 from refdgs_pipe.artifacts.sparse_model import Ball
 from refdgs_pipe.camera import Camera
+from refdgs_pipe.mirrored import Room
 from refdgs_pipe.ops import Pinhole
 from refdgs_pipe.training import vessels
 from refdgs_pipe.training.initial import Hull
@@ -107,11 +108,17 @@ def test_a_bulge_on_a_level_part_is_what_lies_above_its_border(down: bool) -> No
     assert find_plateau(solid, lid, np.array([0.0, 0.6, 0.8])) is None
 
 
-def photos_of(normal: Callable[[np.ndarray], np.ndarray], spot: float = 0.0) -> list[TrainingPhoto]:
+BALL = Ball(np.zeros(3), 1.0)
+
+
+def photos_of(
+    normal: Callable[[np.ndarray], np.ndarray], spot: float = 0.0, walls: float | None = None
+) -> list[TrainingPhoto]:
     """Photos of the plane z = 0 that mirrors a coloured sky, but for a dark round spot.
 
     Args:
         normal: (N, 3) at places (N, 3); spot: its radius, around x = 0.35 and y = 0.
+        walls: how far away the sky is; None: infinitely.
     """
     out = []
     for turn in np.linspace(0, 2 * np.pi, 24, endpoint=False):
@@ -129,6 +136,8 @@ def photos_of(normal: Callable[[np.ndarray], np.ndarray], spot: float = 0.0) -> 
         place = eye - rays * (eye[2] / rays[:, 2:])
         n = normal(place)
         away = rays - 2 * (rays * n).sum(1, keepdims=True) * n
+        if walls is not None:
+            away = Room(BALL.center, walls).met(place, away)
         sky = 0.5 + 0.5 * np.sin(7 * away @ np.array([[1.0, 2, 0], [0, 1, -2], [1, 0, 1]]))
         sky[np.linalg.norm(place - [0.35, 0, 0], axis=1) < spot] = 0
         rgb = torch.from_numpy(np.round(255 * sky).astype(np.uint8).reshape(64, 64, 3))
@@ -138,17 +147,18 @@ def photos_of(normal: Callable[[np.ndarray], np.ndarray], spot: float = 0.0) -> 
     return out
 
 
-def test_photos_agree_on_a_flat_mirror_and_not_on_a_polished_hollow() -> None:
+@pytest.mark.parametrize("walls", [None, 10.0, 4.0])
+def test_photos_agree_on_a_flat_mirror_and_not_on_a_polished_hollow(walls: float | None) -> None:
     place = np.linspace(-0.6, 0.6, 30)
     x, y = (a.ravel() for a in np.meshgrid(place, place))
-    plateau = Plateau(np.stack([x, y, 0 * x], 1), UP, np.zeros((2, 2, 2), bool))
-    flat = mirror_misfit(photos_of(lambda p: np.tile(UP, (len(p), 1))), plateau)
+    plateau = Plateau(np.stack([x, y, 0 * x], 1), UP, np.zeros((2, 2, 2), bool), BALL)
+    flat = mirror_misfit(photos_of(lambda p: np.tile(UP, (len(p), 1)), walls=walls), plateau)
 
     def bowl(p: np.ndarray) -> np.ndarray:
         tilted = UP - 0.9 * p
         return np.asarray(tilted / np.linalg.norm(tilted, axis=1, keepdims=True))
 
-    hollow = mirror_misfit(photos_of(bowl), plateau)
+    hollow = mirror_misfit(photos_of(bowl, walls=walls), plateau)
     assert flat is not None and flat < 0.5 * vessels.A_MIRROR
     assert hollow is not None and hollow > 1.3 * vessels.A_MIRROR
 
@@ -156,7 +166,7 @@ def test_photos_agree_on_a_flat_mirror_and_not_on_a_polished_hollow() -> None:
 def test_a_top_is_flat_if_it_mirrors_as_a_plane_or_shows_no_shading() -> None:
     place = np.linspace(-0.6, 0.6, 30)
     x, y = (a.ravel() for a in np.meshgrid(place, place))
-    plateau = Plateau(np.stack([x, y, 0 * x], 1), UP, np.zeros((2, 2, 2), bool))
+    plateau = Plateau(np.stack([x, y, 0 * x], 1), UP, np.zeros((2, 2, 2), bool), BALL)
 
     def dome(p: np.ndarray) -> np.ndarray:
         tilted = UP + 0.9 * p
