@@ -314,14 +314,15 @@ _ASPECTS = (
     ),
 )
 SCORED = 2  # lowest marks: a result is as bad as the worst of it
+WEAK = 1 / 3  # score below which figures make a result poor together
 _RANK = {"poor": 0, "fair": 1, "good": 2, None: 3}
 
 
 def judged(evidence: ObjectFigures, *, draft: bool = False) -> Verdict:
     """What the evidence says.
 
-    The verdict is as bad as the worst finding. Whether the size is known is a note: it says
-    nothing of the quality.
+    The verdict is as bad as the worst finding. Two that are nearly poor make one that is. Whether
+    the size is known is a note: it says nothing of the quality.
 
     Args:
         draft: the result is meant for a first look; only the words say so.
@@ -331,11 +332,19 @@ def judged(evidence: ObjectFigures, *, draft: bool = False) -> Verdict:
         advice = "look at `refdgs-pipe render WORKSPACE`; give masks or more photos"
         plain = "No photo shows the object"
         found.append(Finding("the object", "poor", "no photo shows it", advice, -1.0, plain))
+    found.sort(key=lambda f: (_RANK[f.word], f.mark))
     marks = sorted(min(max(f.mark, -1.0), 1.5) for f in found)[:SCORED]
     score = sum(marks) / len(marks)
-    found.sort(key=lambda f: (_RANK[f.word], f.mark))
-    word = found[0].word or "poor"
-    return Verdict(word, score, (*found, *_notes(evidence)), draft)
+    if score < WEAK and found[0].word != "poor":
+        found.insert(0, _weak(found[:SCORED], score - WEAK))
+    return Verdict(found[0].word or "poor", score, (*found, *_notes(evidence)), draft)
+
+
+def _weak(found: list[Finding], mark: float) -> Finding:
+    """That figures which are not poor by themselves are so together."""
+    value = " and ".join(finding.about for finding in found)
+    plain = "Some figures are so weak together that the result is hard to trust"
+    return Finding("the weakest figures together", "poor", value, found[0].advice, mark, plain)
 
 
 def _notes(evidence: ObjectFigures) -> list[Finding]:

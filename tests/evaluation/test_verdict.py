@@ -59,6 +59,17 @@ def test_one_figure_decides_and_comes_first_with_advice(figure: str) -> None:
     assert scores == sorted(scores, reverse=True) and len(set(scores)) == 3
 
 
+def test_two_figures_that_are_nearly_poor_make_a_result_poor() -> None:
+    weak = replace(FINE, psnr=18.0, training_psnr=18.0)
+    assert judged(weak).word == "fair"  # one of them does not
+    found = judged(replace(weak, seen=0.5, unseen=0.1))
+    first, *others = found.findings
+    assert found.word == first.word == "poor" and "poor" not in {f.word for f in others}
+    assert first.value == ("surface whose shape is well known and sharpness against unseen photos")
+    assert first.advice == others[0].advice and first.plain
+    assert 0 < found.score < judged(weak).score
+
+
 def test_findings_are_told_in_plain_words() -> None:
     found = judged(replace(FINE, psnr=24.0, training_psnr=24.0))
     assert found.findings[0].text == "sharpness against unseen photos: fair, 24 dB on the object"
