@@ -10,7 +10,7 @@ from refdgs_pipe.ground.shots import F32, Bools, Shot
 from refdgs_pipe.masking.solid import SHOWN, Cells, polled, silhouette
 
 CLEARLY = 0.3  # evidence for the plane, from which on it denies a cell
-MANY, HARDLY = 0.4, 0.1  # share of the photos that must tell of a cell, and that may deny it
+MANY, HARDLY = 0.25, 0.1  # share of the photos that must tell of a cell, and that may deny it
 
 
 def held(cells: Cells, shots: list[Shot], values: list[F32], asked: list[Bools]) -> list[Bools]:

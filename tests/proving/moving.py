@@ -24,13 +24,19 @@ def flash(capture: Any, seed: int, room: float) -> dict[str, Any]:
     return {**capture.FLASH, "room_light": room}
 
 
-def table(texture: np.ndarray, turns: bool) -> dict[str, Any]:
-    """A square table, or a round one that turns, with the texture at the same scale."""
+def table(texture: np.ndarray, turns: bool, varnish: float | None = None) -> dict[str, Any]:
+    """A square table, or a round one that turns, with the texture at the same scale.
+
+    Args:
+        varnish: as `Recipe` has it.
+    """
     if turns:
         mesh = scenes.disc_base(DISC, TOP - 0.09, TOP, 0.02)
     else:
         mesh = geom.xf(geom.rounded_box((HALF, HALF, 0.06), 0.02), None, (0, 0, TOP - 0.06))
     mesh["UV"] = mesh["V"][:, :2] / (2 * HALF) + 0.5
+    if varnish is not None:
+        return scenes.obj("table", mesh, type="gloss", base=texture, alpha=varnish)
     return scenes.obj("table", mesh, type="diffuse", base=texture)
 
 

@@ -30,6 +30,7 @@ class Recipe:
         noise: standard deviation of the noise at full scale, linear.
         inside: (x, y) where the object stands in a room of 5.2 by 4.4 metres, metres from its
             middle; without it, the room is infinitely far away.
+        varnish: roughness (GGX alpha) of a coat of varnish on the table; without it, it is matte.
     """
 
     objects: Callable[[], o.Objects]
@@ -47,6 +48,7 @@ class Recipe:
     shake: float = 0.0
     noise: float = 1e-3
     inside: tuple[float, float] | None = None
+    varnish: float | None = None
 
 
 def papers(seed: int) -> np.ndarray:
