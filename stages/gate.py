@@ -7,7 +7,7 @@ from refdgs_pipe.pipeline.stage import Job, stage
 from refdgs_pipe.sfm.settings import GateParams
 
 
-@stage(version=12, programs=("opencv-contrib-python-headless",))
+@stage(version=13, programs=("opencv-contrib-python-headless",))
 def gate(views: Views, placement: Placement, params: GateParams, job: Job) -> SparseModel:
     """Keep the photos whose places can be trusted; poses that came with them are kept."""
     from refdgs_pipe.sfm.gate import check_trusted, examine

@@ -48,10 +48,12 @@ class Registered:
         model: with the new poses and lenses.
         misses: name -> median distance of its places from where they should be, before and after,
             px of a photo of 800 px; of the photos that fit.
+        unseen: names of photos in which the plane's texture was not found near its place.
     """
 
     model: SparseModel
     misses: dict[str, tuple[float, float]]
+    unseen: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True)
@@ -128,7 +130,8 @@ def registered(
         replace(camera, K=_longer(camera.K, state.lenses[frame.lens]))
         for camera, frame in zip(placed.cameras, frames, strict=True)
     )
-    return Registered(replace(placed, cameras=cameras, lenses=model.lenses | lenses), told)
+    unseen = frozenset(name for name, miss in zip(names, after, strict=True) if np.isinf(miss))
+    return Registered(replace(placed, cameras=cameras, lenses=model.lenses | lenses), told, unseen)
 
 
 def _key(lens: Lens) -> tuple[float, ...]:

@@ -6,16 +6,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from refdgs_pipe.artifacts.placement import Placement
-from refdgs_pipe.artifacts.sparse_model import SparseModel
+from refdgs_pipe.artifacts.sparse_model import Lost, SparseModel
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import F64, Camera, Lens
 from refdgs_pipe.ground.anew import placed_anew
 from refdgs_pipe.ground.gains import gains_of
+from refdgs_pipe.ground.plane import Ground
 from refdgs_pipe.ground.register import registered
 from refdgs_pipe.sfm.gate import Judgement, with_places
 from refdgs_pipe.sfm.posed import shots_of
 from refdgs_pipe.sfm.support import support_plane
 
+AROUND, SHOWS = 1.5, 0.3  # ball radii, and share of that ground that a photo has to show
+GRID = 32  # places along an edge of it
+DENIED = "the ground that the other photos show is not where its place would show it"
 OFF = 0.005  # of a photo's longer side: a sparse point that is farther off is not what it shows
 
 Told = Callable[[str, int, int], None]
@@ -31,6 +35,7 @@ class Laid:
         refined: photos whose poses were refined; before, after: median distance of the ground's
             texture from where they show it, px of a photo of 800 px.
         anew: names of photos that the ground gave a place, or another one.
+        denied: names of photos that had a place, and lost it.
     """
 
     model: SparseModel
@@ -38,6 +43,7 @@ class Laid:
     before: float
     after: float
     anew: tuple[str, ...]
+    denied: tuple[str, ...]
 
     def figures(self) -> list[tuple[str, float | int | str]]:
         """(name, value) of what there is to know at a glance."""
@@ -48,11 +54,15 @@ class Laid:
                 f"{self.before:.2f} px, then {self.after:.2f} px",
             ),
             ("photos placed by the ground's texture", len(self.anew)),
+            ("photos whose place the ground's texture denies", len(self.denied)),
         ]
 
 
 def laid_on_ground(views: Views, model: SparseModel, told: Told, threads: int = 1) -> Laid | None:
     """Refine the poses, and place photos that are lost or do not fit; None without such a ground.
+
+    A photo that should show the ground, but in which nothing of its texture is found, has no place
+    if the ground gives it none: structure from motion was deceived, as by mirror images.
 
     Raises:
         CorruptError: a photo is missing or damaged.
@@ -83,7 +93,13 @@ def laid_on_ground(views: Views, model: SparseModel, told: Told, threads: int = 
         known, {n: replace(c, cam_from_world=anew[n]) for n, c in lost.items() if n in anew}
     )
     model = _moved(model, {name: pose for name, pose in anew.items() if name in unfit})
-    return Laid(model, len(found.misses), float(before), float(after), tuple(anew))
+    denied = [
+        name
+        for name, camera in unfit.items()
+        if name in found.unseen and name not in anew and _should_show(camera, model, plane.at)
+    ]
+    model = _without(model, denied)
+    return Laid(model, len(found.misses), float(before), float(after), tuple(anew), tuple(denied))
 
 
 def judged_on_ground(
@@ -122,6 +138,27 @@ def evened(views: Views, model: SparseModel, threads: int = 1) -> SparseModel:
     plane = support_plane(model.points, model.ball.center, model.ball.radius, model.up)
     gains = {} if plane is None else gains_of(views, model, plane.at, threads)
     return replace(model, gains=gains)
+
+
+def _should_show(camera: Camera, model: SparseModel, plane: tuple[F64, float]) -> bool:
+    """Whether a camera would show the ground round the object, or lies below it."""
+    ground = Ground.under(model.ball, *plane, AROUND * model.ball.radius)
+    if ground.height(camera.center) < 0:
+        return True
+    picture = np.ones((camera.height, camera.width), np.float32)
+    return bool(np.isfinite(ground.flattened(picture, camera, GRID)).mean() >= SHOWS)
+
+
+def _without(model: SparseModel, names: list[str]) -> SparseModel:
+    """The model with photos whose place the ground denies."""
+    cameras = tuple(camera for camera in model.cameras if camera.name not in names)
+    return replace(
+        model,
+        cameras=cameras,
+        lenses={name: lens for name, lens in model.lenses.items() if name not in names},
+        tracks={name: track for name, track in model.tracks.items() if name not in names},
+        lost=(*model.lost, *(Lost(name, DENIED) for name in names)),
+    )
 
 
 def _lost(views: Views, model: SparseModel) -> tuple[dict[str, Camera], dict[str, Lens]]:

@@ -6,6 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 from printed_ground import PLANE, SIZE, blots, capture, errors, nothing, right_model
 
 from refdgs_pipe.artifacts.sparse_model import SparseModel
@@ -104,6 +105,24 @@ def test_photos_found_on_the_ground_are_lost_no_longer(tmp_path: Path) -> None:
     assert len(laid.model.tracks["IMG_07"]) == 0
     assert len(laid.model.tracks["IMG_00"]) < 20 < len(laid.model.tracks["IMG_01"])
     assert ("photos placed by the ground's texture", 2) in laid.figures()
+
+
+@pytest.mark.parametrize("shows", [True, False])
+def test_a_photo_in_which_the_ground_is_not_found_has_no_place(tmp_path: Path, shows: bool) -> None:
+    """Unless it need not show the ground: a close-up of the object does not."""
+    views, cameras = capture(tmp_path, blots())
+    other = np.full((SIZE[1], SIZE[0], 3), 90, np.uint8)
+    Image.fromarray(other).save(tmp_path / "IMG_04.png")
+    if not shows:
+        near = replace(cameras[4], K=np.diag([8.0, 8.0, 1.0]) @ cameras[4].K)
+        near.K[:2, 2] = cameras[4].K[:2, 2]
+        cameras[4] = near
+    laid = laid_on_ground(views, right_model(cameras), lambda *_: None)
+    assert laid is not None and not laid.anew
+    assert laid.denied == (("IMG_04",) if shows else ())
+    assert ("IMG_04" in laid.model.names) != shows
+    assert [one.name for one in laid.model.lost] == list(laid.denied)
+    assert set(laid.model.tracks) == set(laid.model.lenses) == set(laid.model.names)
 
 
 def test_a_picture_is_seen_from_all_round() -> None:

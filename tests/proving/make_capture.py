@@ -81,6 +81,7 @@ def render(out: Path, recipe: Any, light: str, wanted: argparse.Namespace) -> No
     own = len(objects)
     turns, flashes = light == "turntable", "flash" in light
     objects.append(moving.table(recipe.table(recipe.seed)[::-1], turns, recipe.varnish))
+    objects += recipe.beside() if recipe.beside else []
     room, about = 1.0, {"light": light}
     if flashes:
         room = moving.ROOM[light] if wanted.room is None else wanted.room

@@ -30,6 +30,7 @@ class Recipe:
         noise: standard deviation of the noise at full scale, linear.
         inside: (x, y) where the object stands in a room of 5.2 by 4.4 metres, metres from its
             middle; without it, the room is infinitely far away.
+        beside: what else stands on the table.
         varnish: roughness (GGX alpha) of a coat of varnish on the table; without it, it is matte.
     """
 
@@ -49,6 +50,7 @@ class Recipe:
     noise: float = 1e-3
     inside: tuple[float, float] | None = None
     varnish: float | None = None
+    beside: Callable[[], o.Objects] | None = None
 
 
 def papers(seed: int) -> np.ndarray:
