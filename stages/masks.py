@@ -11,7 +11,7 @@ from refdgs_pipe.masking.settings import MasksParams
 from refdgs_pipe.pipeline.stage import Job, stage
 
 
-@stage(version=46, programs=("opencv-contrib-python-headless", "scipy"))
+@stage(version=47, programs=("opencv-contrib-python-headless", "scipy"))
 def masks(
     views: Views, model: SparseModel, lighting: Lighting, params: MasksParams, job: Job
 ) -> Masks:

@@ -37,9 +37,8 @@ def object_masks(
         threads: photos that are worked on at a time; the result does not depend on it.
         light: a flash, whose shadow moves with it, or a turntable; None for a still light.
     """
-    flash = light is not None and light.lamp is not None
     progress(0, ROUNDS)
-    hanging = foot(views, model, plane, threads, flash=flash)
+    hanging = foot(views, model, plane, threads, light=light)
     standing = hanging.on_unproven()
     total = ROUNDS if standing is hanging else 2 * ROUNDS
 

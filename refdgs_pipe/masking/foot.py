@@ -5,11 +5,13 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from refdgs_pipe.artifacts.lighting import Lighting
 from refdgs_pipe.artifacts.sparse_model import SparseModel
 from refdgs_pipe.artifacts.views import Views
 from refdgs_pipe.camera import F64
 from refdgs_pipe.ground.plane import Ground
 from refdgs_pipe.ground.shots import F32, Bools, whole_shots
+from refdgs_pipe.masking.gloss import is_glossy
 from refdgs_pipe.masking.levels import LEVELS
 from refdgs_pipe.masking.plain import plain_bodies
 from refdgs_pipe.masking.repeating import covered, lattice
@@ -78,7 +80,7 @@ def foot(
     plane: tuple[F64, float],
     threads: int,
     *,
-    flash: bool = False,
+    light: Lighting | None = None,
 ) -> Foot:
     """Where the object stands, as far as the plane's picture alone can tell.
 
@@ -87,7 +89,8 @@ def foot(
 
     Args:
         plane: unit normal and offset, world.
-        flash: whether shadows move with the camera; the plane in them does not look like itself.
+        light: a flash, whose shadows move with the camera, or a turntable, on which reflections
+            move; None for a still light.
     """
     level, ball = LEVELS[-1], model.ball
     shots = list(whole_shots(views, model, level.side))
@@ -100,11 +103,13 @@ def foot(
         given = (table.colour, seen, ground, centers, ball.radius)
         there, hangs = plain_bodies(*given)
         sure = doubtful = None
-        if not flash:
+        if light is None or light.lamp is None:  # in a shadow, the plane does not look like itself
             towards = shown_from(table.colour, seen, ground, centers)
             sure = proven(towards)
             there = without_ground(there, sure)
-            doubtful = unproven(*given, towards) & ~there
+            still = light is None or light.kind == "world"
+            glossy = still and is_glossy(shots, ball, plane, ground.radius, threads)
+            doubtful = unproven(*given, towards, glossy=glossy) & ~there
         walls = mirror_walls(table, seen, centers, ball.radius)
         found = Foot(walls, there if there.any() else None, ground.radius, hangs, sure)
         return (

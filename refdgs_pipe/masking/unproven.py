@@ -29,13 +29,22 @@ SECTORS, APART = 12, 2  # directions; that many apart have to agree
 GAP, FOOT = 0.08, 0.2  # ball radii: narrower gaps are closed, narrower feet are left out
 ALIKE = 0.5  # mean share of the photos that have to agree on the colour of a part
 ONCE = 0.05  # share of the cells inside a part, at most, whose texture any photo shows
+# The same of a glossy ground, whose colours photos agree on less: what they show is its own gloss
+ALIKE_GLOSSY, ONCE_GLOSSY = 0.25, 0.5
 LEAK = 3  # cells by which the texture of its own edge proves a foot's inside
 AROUND, PROVEN = 0.25, 0.4  # ball radii round the places, and the share of it that is proven
 GROUND = 0.9  # share of a part's cells with proven texture, above which the part is ground
 
 
 def unproven(
-    colour: F32, seen: F32, ground: Ground, centers: F64, radius: float, towards: Bools
+    colour: F32,
+    seen: F32,
+    ground: Ground,
+    centers: F64,
+    radius: float,
+    towards: Bools,
+    *,
+    glossy: bool = False,
 ) -> Bools:
     """(n, n) cells of the plane below something, where nothing proves that photos see the plane.
 
@@ -49,6 +58,7 @@ def unproven(
         seen: (N, n, n, 3) the plane as each photo shows it, as from `Table.seen`.
         centers: (N, 3) of the cameras, world; radius: of the ball round the object, world units.
         towards: (SECTORS, n, n) of `shown_from`.
+        glossy: whether the plane is.
     """
     n = len(colour)
     cell = 2 * ground.radius / n
@@ -61,7 +71,8 @@ def unproven(
     around = cv2.dilate(found.astype(np.uint8), np.ones((2 * wide + 1,) * 2, np.uint8)) > found
     if not found.any() or sure[around].mean() < PROVEN:
         return np.zeros((n, n), bool)
-    parts = _misleading(found, colour, seen, np.asarray(towards.any(0)))
+    limits = (ALIKE_GLOSSY, ONCE_GLOSSY) if glossy else (ALIKE, ONCE)
+    parts = _misleading(found, colour, seen, np.asarray(towards.any(0)), *limits)
     return np.asarray(cv2.dilate(parts.astype(np.uint8), _disc(2 * LEAK + 1)) > 0)
 
 
@@ -142,12 +153,20 @@ def below(colour: F32, seen: F32, ground: Ground, centers: F64, radius: float) -
     return found
 
 
-def _misleading(found: Bools, colour: F32, seen: F32, once: Bools) -> Bools:
+def _misleading(
+    found: Bools,
+    colour: F32,
+    seen: F32,
+    once: Bools,
+    least: float = ALIKE,
+    most: float = ONCE,
+) -> Bools:
     """(n, n) the parts of what was found on whose colour most photos agree, without texture.
 
     Args:
         once: (n, n) cells whose texture at least one photo shows. Near the edge of a part they do
             not count: the texture there may be that of the plane beside it.
+        least, most: as `ALIKE` and `ONCE`.
     """
     known = np.isfinite(seen[..., 0]) & np.isfinite(colour[..., 0])
     near = (np.abs(seen - colour).max(-1) < TOLERANCES[1]) & known
@@ -156,7 +175,7 @@ def _misleading(found: Bools, colour: F32, seen: F32, once: Bools) -> Bools:
     alike = _means(share, parts, count)
     inside = np.where(cv2.erode(found.astype(np.uint8), _disc(2 * LEAK + 1)) > 0, parts, 0)
     shown = _means(once, inside, count)
-    wanted = (alike >= ALIKE) & (shown <= ONCE)
+    wanted = (alike >= least) & (shown <= most)
     wanted[0] = False
     return np.asarray(wanted[parts])
 

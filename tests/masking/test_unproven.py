@@ -25,10 +25,10 @@ BELLY: Box = ((-0.4, -0.3, 0.2), (0.4, 0.3, 0.7), WHITE)
 HUNG: Box = ((-0.3, -0.3, 0.5), (0.3, 0.3, 0.7), WHITE)
 
 
-def found(seen: F32) -> Bools:
+def found(seen: F32, *, glossy: bool = False) -> Bools:
     colour = np.asarray(np.median(seen, axis=0))
     towards = shown_from(colour, seen, GROUND, cameras())
-    return unproven(colour, seen, GROUND, cameras(), 1.0, towards)
+    return unproven(colour, seen, GROUND, cameras(), 1.0, towards, glossy=glossy)
 
 
 def inside() -> Bools:
@@ -55,6 +55,17 @@ def test_a_place_whose_texture_some_photos_show_is_no_foot(monkeypatch: pytest.M
     assert not found(seen).any()
     monkeypatch.setattr("refdgs_pipe.masking.unproven.ONCE", 1.0)
     assert found(seen).any()
+
+
+def test_on_a_glossy_ground_some_texture_does_not_speak_against_a_foot() -> None:
+    seen, eyes = shown([GREY, HEAD]), cameras()
+    side = eyes[:, 0] > 0.5 * np.linalg.norm(eyes, axis=1)
+    x = np.flatnonzero(inside().any(0))
+    third = np.zeros((N, N), bool)
+    third[:, x[-len(x) // 3] :] = True
+    seen[side] = np.where(third[..., None], shown([])[side], seen[side])
+    assert not found(seen).any()
+    assert (found(seen, glossy=True) & inside()).sum() > 0.5 * inside().sum()
 
 
 def test_texture_at_the_edge_of_a_part_does_not_speak_against_a_foot() -> None:
