@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import clutter as c
 import desk as d
 import habits as b
 import household as h
@@ -192,6 +193,26 @@ RECIPES = {
     ),
     "toast": Recipe(
         o.toaster, p.mosaic, "office", p.spiral, seed=1408, checking=True, inside=(0.0, 1.1)
+    ),
+    "simmer": Recipe(
+        k.saucepan, p.planks, "office", p.rings, seed=1601, inside=(0.6, 0.4), varnish=0.06
+    ),
+    "dawn": Recipe(
+        d.clock, p.planks, "room_b", p.spiral, seed=1602, inside=(-0.7, -0.9), varnish=0.15
+    ),
+    "column": Recipe(s.speaker, p.stone, "studio", p.rings, seed=1603, checking=True, varnish=0.02),
+    "desk": Recipe(
+        h.mouse,
+        p.stone,
+        "office",
+        p.rings,
+        seed=1605,
+        checking=True,
+        inside=(-0.4, 0.6),
+        beside=c.far_apart,
+    ),
+    "corner": Recipe(
+        s.radio, p.mosaic, "room_b", p.rings, seed=1606, checking=True, beside=c.close_by
     ),
     "mat": Recipe(k.vase, p.placemat, "attic", p.spiral, seed=81, checking=True),
     "label": Recipe(
