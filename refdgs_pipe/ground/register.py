@@ -98,21 +98,20 @@ def registered(
 
     frames = mapped(frame, model.cameras, threads)
     ground = Ground.under(model.ball, *plane, REACH * model.ball.radius)
-    poses = np.stack([camera.cam_from_world for camera in model.cameras])
-    at_first = State(poses, np.zeros((len(groups), 2)))
+    poses = [camera.cam_from_world for camera in model.cameras]
+    at_first = State(np.stack(poses), np.zeros((len(groups), 2)))
     state, sights = at_first, [sight_of(frame, None) for frame in frames]
-    first: list[float] | None = None
+    first: list[float] = []
     free_lenses = True
     for done in range(ROUNDS):
         progress(done + 1, ROUNDS + 1)
         sights = _sights(frames, state, ground, threads)
-        first = _medians(sights, state) if first is None else first
+        first = first or _medians(sights, state)
         fixed, cost = adjusted(sights, state, free_lenses=False)
         free, less = adjusted(sights, state, free_lenses=True)
         free_lenses = free_lenses and less < BETTER * cost
         state = free if free_lenses else fixed
     progress(ROUNDS + 1, ROUNDS + 1)
-    assert first is not None
     after = _medians(sights, state)
     fits = np.array(after) < MISS
     if fits.mean() < MOST:
@@ -130,8 +129,8 @@ def registered(
         replace(camera, K=_longer(camera.K, state.lenses[frame.lens]))
         for camera, frame in zip(placed.cameras, frames, strict=True)
     )
-    unseen = frozenset(name for name, miss in zip(names, after, strict=True) if np.isinf(miss))
-    return Registered(replace(placed, cameras=cameras, lenses=model.lenses | lenses), told, unseen)
+    laid = replace(placed, cameras=cameras, lenses=model.lenses | lenses)
+    return Registered(laid, told, _unseen(names, after))
 
 
 def _key(lens: Lens) -> tuple[float, ...]:
@@ -302,6 +301,11 @@ def _medians(sights: list[Sight], state: State) -> list[float]:
         off = misses(sight, pose, state.lenses[sight.lens])
         out.append(float(np.median(off)) if len(off) else float("inf"))
     return out
+
+
+def _unseen(names: list[str], misses: list[float]) -> frozenset[str]:
+    """The photos in which nothing was found."""
+    return frozenset(name for name, miss in zip(names, misses, strict=True) if np.isinf(miss))
 
 
 def _longer(K: F64, lens: F64) -> F64:

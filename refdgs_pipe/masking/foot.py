@@ -107,14 +107,15 @@ def foot(
             towards = shown_from(table.colour, seen, ground, centers)
             sure = proven(towards)
             there = without_ground(there, sure)
+            doubtful = unproven(*given, towards) & ~there
+            wider = unproven(*given, towards, glossy=True) & ~there
             still = light is None or light.kind == "world"
-            glossy = still and is_glossy(shots, ball, plane, ground.radius, threads)
-            doubtful = unproven(*given, towards, glossy=glossy) & ~there
+            if still and (wider & ~doubtful).any():  # it matters whether the ground is glossy
+                glossy = is_glossy(shots, ball, plane, ground.radius, threads)
+                doubtful = wider if glossy else doubtful
         walls = mirror_walls(table, seen, centers, ball.radius)
-        found = Foot(walls, there if there.any() else None, ground.radius, hangs, sure)
-        return (
-            found if doubtful is None or not doubtful.any() else replace(found, unproven=doubtful)
-        )
+        stands, unsure = (None if a is None or not a.any() else a for a in (there, doubtful))
+        return Foot(walls, stands, ground.radius, hangs, sure, unsure)
     return Foot([], covered(table.colour, _agreeing(table, seen), pattern), ground.radius)
 
 
