@@ -1,7 +1,6 @@
 """Find the object in photos that came without masks."""
 
 from functools import partial
-from pathlib import Path
 
 from refdgs_pipe.artifacts.lighting import Lighting
 from refdgs_pipe.artifacts.masks import Masks
@@ -11,7 +10,7 @@ from refdgs_pipe.masking.settings import MasksParams
 from refdgs_pipe.pipeline.stage import Job, stage
 
 
-@stage(version=47, programs=("opencv-contrib-python-headless", "scipy"))
+@stage(version=48, programs=("opencv-contrib-python-headless", "scipy"))
 def masks(
     views: Views, model: SparseModel, lighting: Lighting, params: MasksParams, job: Job
 ) -> Masks:
@@ -20,7 +19,7 @@ def masks(
 
     from refdgs_pipe.masking.by_network import network_masks
     from refdgs_pipe.masking.files import write_masks
-    from refdgs_pipe.masking.finding import agreement, object_masks
+    from refdgs_pipe.masking.finding import agreement, object_masks, warnings_of
     from refdgs_pipe.masking.network import Network
     from refdgs_pipe.sfm.support import support_plane
 
@@ -28,7 +27,6 @@ def masks(
         job.measure("masks", f"none: {reason}")
         return Masks(job.folder, (), "none", reason)
 
-    names = tuple(camera.name for camera in model.cameras)
     if views.background != "photo":
         if params.model:
             job.warn("the photos came with masks, so the network of masks.model was not asked")
@@ -37,12 +35,12 @@ def masks(
         return none("masks.find is off")
     if params.model:
         answer = network_masks(views, model, Network.of(params), job.progress, job.stop)
-        job.measure("network", Path(params.model).name)
+        job.measure("network", params.network)
         job.measure("agreement of the masks", round(answer.agreement, 4), "of 1")
         for text in answer.warnings(params.agreement):
             job.warn(text)
         write_masks(job.folder, views, model, answer.masks)
-        return Masks(job.folder, names, "network")
+        return Masks(job.folder, tuple(model.names), "network")
     plane = support_plane(model.points, model.ball.center, model.ball.radius, model.up)
     if plane is None:
         return none("the sparse points show no plane that the object stands on")
@@ -56,5 +54,7 @@ def masks(
     job.measure("agreement, worst tenth", round(low, 4), "of 1")
     if mean < params.agreement:
         return none(f"they agree by {mean:.1%} with one solid; {params.agreement:.1%} is asked for")
+    for text in warnings_of(found):
+        job.warn(text)
     write_masks(job.folder, views, model, found.masks)
-    return Masks(job.folder, names, "found")
+    return Masks(job.folder, tuple(model.names), "found")

@@ -56,6 +56,18 @@ def object_masks(
     return other if agreement(other)[0] - agreement(one)[0] > BETTER else one
 
 
+def warnings_of(found: Found) -> list[str]:
+    """What people have to know about the masks, in sentences."""
+    if not found.beside:
+        return []
+    things = "1 small thing stands" if found.beside == 1 else f"{found.beside} small things stand"
+    left_out = "is not part of the asset" if found.beside == 1 else "are not part of the asset"
+    return [
+        f"{things} beside the object and {left_out}. If this is wrong, move the parts closer "
+        "together and take the photos again, or give masks"
+    ]
+
+
 def agreement(found: Found) -> tuple[float, float]:
     """How well the masks agree with the solid that all of them show: mean and worst tenth.
 

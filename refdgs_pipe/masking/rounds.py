@@ -20,6 +20,7 @@ from refdgs_pipe.ground.shots import (
     resized,
     whole_shots,
 )
+from refdgs_pipe.masking.beside import without_bystanders
 from refdgs_pipe.masking.beyond import Room, is_plain, shown_room
 from refdgs_pipe.masking.colours import colour_evidence, with_colour
 from refdgs_pipe.masking.cut import cut, signed_distance, well_inside, without_false_holes
@@ -39,12 +40,7 @@ from refdgs_pipe.masking.solid import (
     standing,
     without_bites,
 )
-from refdgs_pipe.masking.table import (
-    Evidence,
-    Table,
-    shown_plane,
-    smooth,
-)
+from refdgs_pipe.masking.table import Evidence, Table, shown_plane, smooth
 
 TELLING = 0.6  # evidence below which the room cannot tell whether a cell is empty
 SURE = 4.0  # evidence against what cannot be the object
@@ -72,6 +68,7 @@ class Found:
         reach: how far from the ball's centre photos show the plane behind the solid, world units.
         ball: round the solid, with room to spare.
         shadows: (h, w) where the solid throws a flash's shadow; None without one.
+        beside: things beside the object that were left out.
     """
 
     masks: list[F32]
@@ -80,6 +77,7 @@ class Found:
     reach: float
     ball: Ball
     shadows: list[Bools] | None = None
+    beside: int = 0
 
 
 def solved(
@@ -206,7 +204,7 @@ class _Worker:
         evidence = self._held(self._evidence(found))
         values, known = self._with_colours(evidence, found), [e.known for e in evidence]
         outlines, proven = self._parts_of(found.outlines), self._proven()
-        solid = bites = self.cells.inside
+        solid, bites, beside = self.cells.inside, self.cells.inside, 0
         for number, deny in enumerate(self.level.denials):
             if number:  # cells as small as the solid allows
                 within = ball_of(self.cells.points[solid], self.cells.size)
@@ -223,12 +221,14 @@ class _Worker:
                 whole = without_bites(*told, self.plane, deny=deny)
             bites = whole & ~solid
             solid = standing(self.cells, whole, self.shots, free, known, self.plane)
+            solid, things = without_bystanders(self.cells, solid, self.plane, self.ball.center)
+            beside = max(beside, things)
             outlines = self._silhouettes(solid)
             self.band = [max(2, round(band / 2)) for band in self.band]
         foot = solid & (low(self.cells, *self.plane) | bites)
         values = self._with_contact(values, foot, outlines)
         masks = self._near_outlines(values, outlines)
-        return self._placed(masks, outlines, solid, found.room)
+        return replace(self._placed(masks, outlines, solid, found.room), beside=beside)
 
     def _evidence(self, found: Found) -> list[_Told]:
         """What the plane tells, and the room where the plane does not."""

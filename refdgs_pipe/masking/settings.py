@@ -42,6 +42,11 @@ class MasksParams(Params):
             raise ValueError("an absolute path; `run --mask-model FILE` takes any")
         return path
 
+    @property
+    def network(self) -> str:
+        """The file name of the network."""
+        return Path(self.model).name
+
     def hashed(self) -> list[dict[str, Any]]:
         """The settings as keys hold them: the network by its content, and only if there is one."""
         network = {
