@@ -54,14 +54,14 @@ def is_glossy(
     before = _differences(seen, np.zeros_like(seen))
     for away in ROOMS:
         room = None if away is None else Room(ball.center, away * ball.radius)
-        keys = np.stack([_keys(points, shot.camera, plane[0], room) for shot in shots])
+        keys = np.stack([_keys(points, shot.camera, ground, room) for shot in shots])
         if _left(seen, keys) < GAIN * before:
             return True
     return False
 
 
 def _left(seen: F32, keys: Ints) -> float:
-    """The differences between photos that are left without what the plane mirrors.
+    """The differences between photos, as from `_differences`, without what the plane mirrors.
 
     The room's picture, and the plane's own colours, are found by turns.
 
@@ -104,21 +104,16 @@ def _ranked(values: F32, share: float) -> F32:
     return np.asarray(np.take_along_axis(ranked, row[None], axis=0)[0], np.float32)
 
 
-def _keys(points: F64, camera: Camera, normal: F64, room: Room | None) -> Ints:
-    """(P,) the place in the room's picture that each place of the plane mirrors."""
+def _keys(points: F64, camera: Camera, ground: Ground, room: Room | None) -> Ints:
+    """(P,) the place in the room's picture that each place of the ground mirrors."""
+    normal = np.cross(ground.a, ground.b)
     rays = points - camera.center
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    x, y = np.clip(_place(_mirrored(points, rays, normal, room)).T, 0, BINS - 1).astype(np.int64)
-    return np.asarray(y * BINS + x)
-
-
-def _mirrored(points: F64, rays: F64, normal: F64, room: Room | None) -> F64:
-    """(N, 3) where mirrored rays go, as unit vectors, along the plane's axes."""
     away = rays - 2 * (rays @ normal)[:, None] * normal
     met = away if room is None else room.met(points, away)
-    a = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
-    a /= np.linalg.norm(a)
-    return np.asarray(met @ np.stack([a, np.cross(normal, a), normal], 1))
+    unit = met @ np.stack([ground.a, ground.b, normal], 1)
+    x, y = np.clip(_place(unit).T, 0, BINS - 1).astype(np.int64)
+    return np.asarray(y * BINS + x)
 
 
 def _place(unit: F64) -> F64:

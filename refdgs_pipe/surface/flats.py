@@ -22,13 +22,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from refdgs_pipe.artifacts.mesh import TriangleMesh
 from refdgs_pipe.irradiance import links_of
-from refdgs_pipe.mirrored import (
-    STANDS_OUT,
-    Glimpse,
-    Room,
-    best_agreement,
-    mirror_misfits,
-)
+from refdgs_pipe.mirrored import STANDS_OUT, Glimpse, Room, best_agreement, mirror_misfits
 from refdgs_pipe.surface.net import Net, pieces_of, plane_of
 from refdgs_pipe.surface.silhouettes import MOST, spread_evenly
 
@@ -181,9 +175,9 @@ def _bulges(
             if _bent_share(net, part, outwards, BEYOND * diameter) < BENT_SHARE:
                 continue
             center, normal = _lower_plane(net.points[firm], net.area[firm] * held[firm], outwards)
-            seen_flat = _mirrored_as_plane(net, part, center, normal, mirrored, diameter)
-            if seen_flat is not None:
-                part &= ~_stands_on(net, part, center, normal, mirrored, *seen_flat)
+            as_plane = _mirrored_as_plane(net, part, center, normal, mirrored, diameter)
+            if as_plane is not None:
+                part &= ~_stands_on(net, part, center, normal, mirrored, *as_plane)
                 free &= ~part
                 found.append(Flat(np.flatnonzero(part), center, normal))
     return found
