@@ -13,7 +13,7 @@ from refdgs_pipe.pipeline.stage import Job, stage
 from refdgs_pipe.texture.settings import BakeParams
 
 
-@stage(version=14, programs=("open3d-cpu", "scipy"), by_device=True)
+@stage(version=15, programs=("open3d-cpu", "scipy"), by_device=True)
 def bake(
     mesh: UvMesh,
     looks: Appearance,

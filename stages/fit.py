@@ -9,7 +9,7 @@ from refdgs_pipe.pipeline.stage import Job, stage
 from refdgs_pipe.surface.settings import FitParams
 
 
-@stage(version=6, programs=("open3d-cpu",), by_device=True)
+@stage(version=7, programs=("open3d-cpu",), by_device=True)
 def fit(
     cleaned: CleanMesh, field: SurfelField, model: SparseModel, params: FitParams, job: Job
 ) -> Mesh:

@@ -6,7 +6,8 @@ where it lies. Such a part gets the plane that its outlines allow: it bounds the
 outside, so the plane lies along the lower side of the places that outlines hold.
 
 A part counts as flat if it is nearly plane already, if the surface bends away all around it, if
-outlines hold some of it, and if the views' colours do not determine its depth.
+the views' colours do not determine the depth of most of it, and if outlines hold some of it, or
+colours do, as those of the print on a plain face.
 
 Where all cameras look down on a flat part, the solid that the outlines allow bulges on it as
 steeply as the lowest camera looks. Such a bulge is no longer nearly plane. It becomes one if views
@@ -46,6 +47,7 @@ BENT_SHARE = 0.7  # of the places there
 HELD = 0.05  # of an edge's length all round the part: the least that outlines have to hold
 SPREAD = 0.5  # of the places that outlines hold, by the part's own
 TOLD = 0.05  # of `disagreement`, in views, from which on colours tell the depth
+PRINT = 0.15  # the same, from which on they hold a place of a part that is plain elsewhere
 INWARDS = 0.75  # weight of places inside the plane; those outside it have the rest
 UNHELD = 0.02  # weight of a place that no outline holds, against one outline
 GROW_ROUNDS, PLANE_ROUNDS = 6, 12
@@ -113,6 +115,7 @@ def _nearly_plane(
 ) -> list[Flat]:
     """Parts that are nearly plane, largest first. They are taken from what is `free`."""
     seen = np.zeros(len(held), bool)
+    held = held + np.where(told >= PRINT, np.minimum(told, MOST), 0)
     facing = net.smooth @ _directions().T > _TOWARDS
     tried = np.zeros(facing.shape[1], bool)
     least, found = LEAST_AREA * net.area.sum(), []

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from refdgs_pipe.artifacts.surface_map import SurfaceMap
 from refdgs_pipe.errors import MeshError
 from refdgs_pipe.geometry import without_jumps
-from refdgs_pipe.texture.points import SurfacePoints, bilinear
+from refdgs_pipe.texture.points import MOVED, SurfacePoints, bilinear
 
 F32 = NDArray[np.float32]
 Ints = NDArray[np.int64]
@@ -17,10 +17,9 @@ Bools = NDArray[np.bool_]
 _CHANNELS = 6  # diffuse 3, normal 3
 _MIN_ALPHA = 0.5
 _MIN_COSINE = 0.2
-# A dent of the field lies behind a mesh that was made flat. Its colours count where nothing nearer
-# does; its normals do not.
-_DENT = 4.0  # tolerances
-_DENTED = 1e-4  # of the usual weight
+# Where a part of the mesh was moved off the field, as a dent or a bulge that was made flat, the
+# field's colours count where nothing nearer does; its normals do not.
+_MOVED_WEIGHT = 1e-4  # of the usual weight
 # Where the views' normals lie further apart than this (3 degrees), the mesh's own count more.
 # Exact maps: 0.4 degrees off the truth, the mesh 1.6. A field of 1500 steps: maps
 # 12.0, mesh 11.0, this mixture 11.4.
@@ -53,7 +52,7 @@ class Gather:
     Args:
         points, normals: (N, 3) float32, world.
         tolerance: how far a point may lie from the depth map that shows it, world units. Where
-            no map is so near, one that lies up to `_DENT` times as far behind tells the colour.
+            no map is so near, one that lies up to `MOVED` times as far off tells the colour.
     """
 
     def __init__(self, points: F32, normals: F32, *, tolerance: float, keep: int = 6) -> None:
@@ -117,9 +116,9 @@ class Gather:
             np.stack([view.depth, solid.astype(np.float32), view.alpha], -1),
             tolerance=self._tolerance,
             least_cosine=_MIN_COSINE,
-            behind=_DENT * self._tolerance,
+            moved=MOVED * self._tolerance,
         )
-        weights = found.cosine**2 * found.layers[:, 2] * np.where(found.near, 1, _DENTED)
+        weights = found.cosine**2 * found.layers[:, 2] * np.where(found.near, 1, _MOVED_WEIGHT)
         return found.rows, found.pixels, weights.astype(np.float32), found.near
 
 

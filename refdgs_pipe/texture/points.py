@@ -12,6 +12,8 @@ F32 = NDArray[np.float32]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
+# A part that was moved after training, as a bulge that was made flat, lies off the field's maps.
+MOVED = 4.0  # tolerances
 _ROW = 1024  # cv2.remap refuses more than 32767 rows or columns
 
 
@@ -54,7 +56,7 @@ class SurfacePoints:
         *,
         tolerance: float,
         least_cosine: float,
-        behind: float = 0.0,
+        moved: float = 0.0,
         part: slice = slice(None),
     ) -> Shown:
         """The points that lie on a view's depth map.
@@ -63,7 +65,8 @@ class SurfacePoints:
             layers: (H, W, C) depth along the camera's axis; 1 where it can be trusted, else 0; and
                 whatever else is to be looked up.
             tolerance: how far a point may lie from the depth map, world units.
-            behind: how far the depth map may lie behind a point, where that is more, world units.
+            moved: how far the depth map may lie from a point that the tolerance leaves out, world
+                units; 0: such points are not shown.
             part: the points that are asked for; rows count from its start.
         """
         points, normals = self.points[part], self.normals[part]
@@ -82,9 +85,9 @@ class SurfacePoints:
         sampled = bilinear(layers, pixels)
         slope = np.sqrt(1 / cosine**2 - 1)
         allowed = tolerance + slope * z / float(K[0, 0])
-        deeper = sampled[:, 0] - z
-        near = np.abs(deeper) < allowed
-        good = np.flatnonzero((near | ((deeper > 0) & (deeper < behind))) & (sampled[:, 1] > 0.999))
+        gap = np.abs(sampled[:, 0] - z)
+        near = gap < allowed
+        good = np.flatnonzero((near | (gap < moved)) & (sampled[:, 1] > 0.999))
         return Shown(rows[good], pixels[good], cosine[good], z[good], sampled[good], near[good])
 
 

@@ -18,15 +18,19 @@ from refdgs_pipe.color import linear_from_srgb
 from refdgs_pipe.errors import MeshError
 from refdgs_pipe.ground_light import GroundLight, at_roughness
 from refdgs_pipe.irradiance import links_of, spread
-from refdgs_pipe.ray_casting import Solid, at_hits
+from refdgs_pipe.ray_casting import Hits, Solid, at_hits
+from refdgs_pipe.texture.points import MOVED
+from refdgs_pipe.vectors import unit
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 _MIN_ALPHA = 0.9
 _MIN_COSINE = 0.1
 _DARK, _BRIGHT, _ENOUGH = 0.05, 0.9, 100  # linear; values that tell a photo's exposure
 _CALMING = 2  # passes over the normals before their turning is measured
+_AROUND = 2  # edges from a place, over which samples are counted
 
 
 @dataclass(frozen=True)
@@ -96,7 +100,9 @@ class Sampler:
     """Takes some pixels of one view after another.
 
     Args:
-        tolerance: how far mesh and map may lie apart, world units.
+        tolerance: how far mesh and map may lie apart, world units. Where a part of the mesh was
+            moved, as a bulge that was made flat, they may lie `MOVED` times as far apart. The
+            mesh's own normals count there.
         per_view: the most pixels of a view.
         ground: the light below the object, if it is known.
     """
@@ -115,6 +121,7 @@ class Sampler:
         self._bent = _squared_curvature(mesh, self._normals)
         self._solid = Solid(mesh.vertices, mesh.faces)
         self._parts: list[Samples] = []
+        self._near: list[Bools] = []  # of each part's samples: within the tolerance
 
     def photo_of(self, views: Views, model: SparseModel, camera: Camera) -> Photo:
         """The part of a camera's photo that can show the ball, with enough pixels to take."""
@@ -162,35 +169,25 @@ class Sampler:
             turn: (3, 3) rotation to where far light stands still; None: in the world.
             lamp: on the camera; None without one.
         """
-        camera = view.camera
-        solid = np.flatnonzero((view.alpha.reshape(-1) >= _MIN_ALPHA) & (view.depth.ravel() > 0))
-        chance = np.random.default_rng(len(self._parts))
-        if not len(pixels := chance.permutation(solid)[: 2 * self.per_view]):
+        camera, mesh = view.camera, self.mesh
+        if (seen := self._seen(view)) is None:
             return 0
-        rays = camera.pixel_rays().reshape(-1, 3)[pixels] @ camera.cam_from_world[:3, :3]
-        hits = self._solid.first(camera.center.astype(np.float32), rays.astype(np.float32))
-        rows = pixels[hits.rays]
-        near = np.abs(hits.distance - view.depth.reshape(-1)[rows]) < self.tolerance
-        toward = -rays[hits.rays] / np.linalg.norm(rays[hits.rays], axis=1, keepdims=True)
-        normal = view.normal.reshape(-1, 3)[rows]
+        rows, hits, near, normal, toward = seen
+        face, weights = hits.face, hits.weights
         cosine = (normal * toward).sum(1)
-        good = np.flatnonzero(near & (cosine > _MIN_COSINE))[: self.per_view]
-        if not len(good):
-            return 0
-        good = good[rows[good].argsort()]
-        mesh, rows, face, weights = self.mesh, rows[good], hits.face[good], hits.weights[good]
-        mirrored = 2 * cosine[good, None] * normal[good] - toward[good]
-        pixel = hits.distance[good] / np.float32(focal or camera.K[0, 0])
+        mirrored = 2 * cosine[:, None] * normal - toward
+        pixel = hits.distance / np.float32(focal or camera.K[0, 0])
         bent = at_hits(self._bent, mesh.faces, face, weights)[:, 0] * pixel**2 / 6
         diffuse, specular = (of.reshape(-1, 3)[rows] for of in (view.diffuse, view.specular))
         points = at_hits(mesh.vertices, mesh.faces, face, weights)
-        glint = None if lamp is None else _glint(lamp.place - points, normal[good], toward[good])
+        glint = None if lamp is None else _glint(lamp.place - points, normal, toward)
         near_face, near_weights = self._mirror(face, weights, mirrored.astype(np.float32))
+        self._near.append(near)
         self._parts.append(
             Samples(
                 face,
                 weights,
-                cosine[good].astype(np.float32),
+                cosine.astype(np.float32),
                 (mirrored if turn is None else mirrored @ turn.T).astype(np.float32),
                 near_face,
                 near_weights,
@@ -205,6 +202,33 @@ class Sampler:
             )
         )
         return len(rows)
+
+    def _seen(self, view: SurfaceMap) -> tuple[Ints, Hits, Bools, F32, F32] | None:
+        """What a view shows of the mesh, at most `per_view` of its pixels; None if nothing.
+
+        Returns:
+            The pixels' rows (N,), rising; what they show; whether it is near; normals (N, 3) and
+            the ways to the eye (N, 3), unit.
+        """
+        camera = view.camera
+        solid = np.flatnonzero((view.alpha.reshape(-1) >= _MIN_ALPHA) & (view.depth.ravel() > 0))
+        chance = np.random.default_rng(len(self._parts))
+        if not len(pixels := chance.permutation(solid)[: 2 * self.per_view]):
+            return None
+        rays = camera.pixel_rays().reshape(-1, 3)[pixels] @ camera.cam_from_world[:3, :3]
+        hits = self._solid.first(camera.center.astype(np.float32), rays.astype(np.float32))
+        rows = pixels[hits.rays]
+        gap = np.abs(hits.distance - view.depth.reshape(-1)[rows])
+        near = gap < self.tolerance
+        toward = -unit(rays[hits.rays])
+        own = at_hits(self._normals, self.mesh.faces, hits.face, hits.weights)
+        normal = np.where(near[:, None], view.normal.reshape(-1, 3)[rows], unit(own))
+        wanted = (gap < MOVED * self.tolerance) & ((normal * toward).sum(1) > _MIN_COSINE)
+        good = np.flatnonzero(wanted)[: self.per_view]
+        if not len(good):
+            return None
+        good = good[rows[good].argsort()]
+        return rows[good], hits.chosen(good), near[good], normal[good], toward[good]
 
     def _below(self, points: F32, mirrored: F32, near_face: Ints) -> F32 | None:
         """`Samples.ground` of places (N, 3) and mirrored rays (N, 3) in the world."""
@@ -239,10 +263,28 @@ class Sampler:
             )
         fields = Samples.__dataclass_fields__
         columns: dict[str, Any] = {}
+        kept = self._kept()
         for name in fields:
             parts = [getattr(part, name) for part in self._parts]
-            columns[name] = None if parts[0] is None else np.concatenate(parts)
+            columns[name] = None if parts[0] is None else np.concatenate(parts)[kept]
         return Samples(**columns)
+
+    def _kept(self) -> Bools:
+        """Which samples count: those near the field, and others where these are the fewer ones."""
+        near = np.concatenate(self._near)
+        corners = self.mesh.faces[np.concatenate([part.face for part in self._parts])]
+        weights = np.concatenate([part.weights for part in self._parts])
+        around, links = (
+            np.empty((len(self.mesh.vertices), 2), np.float32),
+            links_of(self.mesh.faces),
+        )
+        for column, those in enumerate((near, ~near)):
+            rows, counts = corners[those].reshape(-1), weights[those].reshape(-1)
+            around[:, column] = np.bincount(rows, counts, len(around))
+        for _ in range(_AROUND):
+            around = spread(around, links)
+        fewer = around[:, 0] < around[:, 1]
+        return np.asarray(near | fewer[corners].all(1))
 
 
 def _shown(field: F32, rows: Ints, photo: F32 | None, lamp: Shone | None) -> F32:

@@ -88,6 +88,23 @@ def test_outlines_bound_the_plane_from_outside() -> None:
     assert abs(upper.center[2] - HALF[2]) < 0.0012  # the mean is 0.0024 too high
 
 
+@pytest.mark.parametrize("share, is_flat", [(1.0, True), (0.2, False)])
+def test_print_holds_a_plain_face_that_no_outline_shows(share: float, is_flat: bool) -> None:
+    """Like a clock's face: marks near its border, nothing inside."""
+    true = box()
+    mesh, none = bulged(true, 0.02), np.zeros(len(true.vertices))
+    told = np.where(on_edges(true) > 0, 0.5, 0.0)
+    told[true.vertices[:, 0] < (1 - 2 * share) * HALF[0]] = 0  # marks on one side do not hold it
+    told[np.abs(true.vertices[:, 0]) > HALF[0] - 1e-6] = 0  # none on the walls that face x
+    flats = flats_of(mesh, none, told, limit=LIMIT, diameter=DIAMETER)
+    assert len(flats) == (4 if is_flat else 0)
+    if is_flat:
+        walls = np.abs(true.vertices[:, 1:]) > HALF[1:] - 1e-6
+        rows = walls.any(1) & (np.abs(true.vertices[:, 0]) < HALF[0] - 0.1)
+        assert off_walls(mesh)[rows].max() > 0.019
+        assert off_walls(flattened(mesh, flats))[rows].max() < 0.006
+
+
 def test_what_colours_or_no_outlines_tell_of_stays() -> None:
     true = box()
     mesh, held = bulged(true, 0.02), on_edges(true)

@@ -9,6 +9,7 @@ from solids import sphere
 
 from refdgs_pipe.artifacts.appearance import Appearance
 from refdgs_pipe.artifacts.mesh import TriangleMesh
+from refdgs_pipe.artifacts.surface_map import SurfaceMap
 from refdgs_pipe.color import srgb_from_linear
 from refdgs_pipe.errors import CorruptError, MeshError
 from refdgs_pipe.light import texel_directions
@@ -168,6 +169,29 @@ def test_samples_are_taken_all_over_a_picture() -> None:
     parts = np.quantile(heights[1], [0.25, 0.5, 0.75])
     share = np.bincount(np.searchsorted(parts, heights[0]), minlength=4) / 200
     assert np.abs(share - 0.25).max() < 0.12
+
+
+def test_a_part_off_the_field_is_sampled_where_nothing_nearer_shows_it() -> None:
+    """Like a bulge of the field that was made flat: its colours count, its normals do not."""
+    mesh, count = two_balls(), len(sphere(16).faces)
+    true, off = (
+        [Scene((silver, PLASTIC), gradient_sky).surface_map(camera) for camera in orbit(8)]
+        for silver in (SILVER, replace(SILVER, radius=0.56))
+    )
+    turned = [replace(view, normal=view.normal[..., [1, 2, 0]]) for view in off]
+
+    def taken(views: list[SurfaceMap]) -> Samples:
+        sampler = Sampler(mesh, tolerance=0.03, per_view=10**6)
+        for view in views:
+            sampler.add(view)
+        return sampler.samples()
+
+    found, same = taken(off), taken(turned)
+    left, as_left = found.face < count, same.face < count
+    assert left.sum() > 0.5 * (taken(true).face < count).sum()
+    np.testing.assert_array_equal(found.mirrored[left], same.mirrored[as_left])
+    both = taken(true + off)
+    assert (both.view < 8)[both.face < count].all()
 
 
 def test_without_any_sample_there_is_no_fit() -> None:
