@@ -10,7 +10,7 @@ from refdgs_pipe.masking.settings import MasksParams
 from refdgs_pipe.pipeline.stage import Job, stage
 
 
-@stage(version=49, programs=("opencv-contrib-python-headless", "scipy"))
+@stage(version=50, programs=("opencv-contrib-python-headless", "scipy"))
 def masks(
     views: Views, model: SparseModel, lighting: Lighting, params: MasksParams, job: Job
 ) -> Masks:

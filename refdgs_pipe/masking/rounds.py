@@ -23,6 +23,7 @@ from refdgs_pipe.ground.shots import (
 from refdgs_pipe.masking.beside import without_bystanders
 from refdgs_pipe.masking.beyond import Room, is_plain, shown_room
 from refdgs_pipe.masking.colours import colour_evidence, with_colour
+from refdgs_pipe.masking.contact import heard_of, low, standing, upright, without_bites
 from refdgs_pipe.masking.cut import cut, signed_distance, well_inside, without_false_holes
 from refdgs_pipe.masking.foot import WIDE, Foot
 from refdgs_pipe.masking.held import held
@@ -33,12 +34,9 @@ from refdgs_pipe.masking.solid import (
     ball_of,
     covering,
     grid,
-    low,
     pixels_of,
     shadow,
     silhouette,
-    standing,
-    without_bites,
 )
 from refdgs_pipe.masking.table import Evidence, Table, shown_plane, smooth
 
@@ -215,10 +213,11 @@ class _Worker:
             if solid.sum() < LEAST_CELLS:
                 return None
             solid = self._covering(solid, free, known, values)
-            whole = solid
+            whole, heard = solid, heard_of(free, known, proven)
             if proven is not None:
-                told = (self.cells, solid, self.shots, free, known, proven)
+                told = (self.cells, solid, self.shots, free, known, heard)
                 whole = without_bites(*told, self.plane, deny=deny)
+            whole = upright(self.cells, whole, self.shots, free, heard, self.plane)
             bites = whole & ~solid
             solid = standing(self.cells, whole, self.shots, free, known, self.plane)
             solid, things = without_bystanders(self.cells, solid, self.plane, self.ball.center)

@@ -24,11 +24,6 @@ MUCH = 0.25  # of the solid's silhouette: a photo that is sure of more is not su
 MOST = 0.06  # of the solid's cells that may come back: round a turntable photos are sure of more
 # How many photos, at most, have to ask for a cell before none comes back: that many, or that share
 FEWEST, OFTEN = 3, 0.1
-LOW = 0.06  # of the ball's radius: what lies lower is at the contact with the plane
-BARELY = 0.09  # share of the photos that can tell, which may deny a cell at the contact
-FOOT = 0.17  # of the ball's radius: as high up, mirrored ground may have taken a bite of the foot
-BITE = 0.4  # of the ball's radius: wider gaps in the foot are no bites
-HEARD = 0.75  # share of the votes on a cell that must remain without those for unproven ground
 SHADOW_CELLS = 256  # along an edge of the plane, on which shadows are drawn
 PIECE = 0.03  # of the largest piece's cells: smaller ones go
 
@@ -146,121 +141,6 @@ def covering(
             out[index[back]] = True
             break
     return out
-
-
-def low(cells: Cells, normal: F64, offset: float) -> Bools:
-    """(n ** 3,) the cells at the contact with the plane normal . x = offset."""
-    highest = LOW * cells.size * cells.n / (2 * REACH)
-    return np.asarray(cells.inside & (cells.points @ normal - offset <= highest))
-
-
-def without_bites(
-    cells: Cells,
-    solid: Bools,
-    shots: list[Shot],
-    free: list[Bools],
-    known: list[Bools],
-    proven: list[Bools],
-    plane: tuple[F64, float],
-    *,
-    deny: float,
-) -> Bools:
-    """(n ** 3,) the solid, and cells of its foot that are denied only by ground without proof.
-
-    A mirror shows the ground in front of it, which by chance has the colour of the ground that
-    would be seen if the mirror were not there. No photo ever sees that ground: it lies below the
-    object, so photos from two sides never agree on its texture. Ground between legs they see.
-
-    Args:
-        solid, free, known: as in `covering`.
-        proven: (H, W) where each photo would see ground whose texture photos from several sides
-            agree on.
-        plane: unit normal and offset.
-        deny: as in `agreed`.
-    """
-    highest = FOOT * cells.size * cells.n / (2 * REACH)
-    height = cells.points @ plane[0] - plane[1]
-    near = cells.inside & (height > 0) & (height <= highest)
-    index = np.flatnonzero(~solid & _enclosed(cells, solid, near, plane[0], height))
-    heard = [can & (may | sure) for may, can, sure in zip(free, known, proven, strict=True)]
-    index, seen, told, denied = polled(cells, index, shots, free, heard, deny)
-    index, _, could, _ = polled(cells, index, shots, free, known, 1.0)
-    enough = (seen >= SHOWN * len(shots)) & (told >= HEARD * could) & (told >= KNOWN * len(shots))
-    out = solid.copy()
-    out[index[enough & (denied <= deny * told)]] = True
-    return out
-
-
-def _enclosed(cells: Cells, solid: Bools, near: Bools, normal: F64, height: F64) -> Bools:
-    """(n ** 3,) the cells of `near` in gaps of the solid, at their own height above the plane.
-
-    A body that hangs over the ground all round has no gap at any height.
-
-    Args:
-        height: (n ** 3,) above the plane, world units.
-    """
-    a = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
-    a /= np.linalg.norm(a)
-    flat = cells.points @ np.stack([a, np.cross(normal, a)], 1)
-    gap = max(3, round(BITE * cells.n / (2 * REACH))) | 1
-    place = np.rint((flat - flat.min(0)) / cells.size).astype(np.int64) + gap
-    shape = place.max(0) + 1 + gap
-    layer = np.floor(height / cells.size).astype(np.int64)
-    thin, wide = (
-        cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width)) for width in (3, gap)
-    )
-    out = np.zeros(len(height), bool)
-    for here in np.unique(layer[near]):
-        rows = np.flatnonzero(near & (layer == here))
-        x, y = place[rows].T
-        plan = np.zeros(shape, np.uint8)
-        plan[x[solid[rows]], y[solid[rows]]] = 1
-        plan = cv2.morphologyEx(plan, cv2.MORPH_CLOSE, thin)  # the layer may cut cells askew
-        out[rows] = cv2.morphologyEx(plan, cv2.MORPH_CLOSE, wide)[x, y] > 0
-    return out
-
-
-def standing(
-    cells: Cells,
-    solid: Bools,
-    shots: list[Shot],
-    free: list[Bools],
-    known: list[Bools],
-    plane: tuple[F64, float],
-) -> Bools:
-    """(n ** 3,) the solid, and cells between it and the plane that few photos deny.
-
-    At the contact, a mirror shows the plane right beside the plane itself, and photos from one side
-    take it for that. A solid that ends just above the plane stands on it.
-
-    Args:
-        solid, free, known: as in `covering`.
-        plane: unit normal and offset.
-    """
-    near = low(cells, *plane)
-    index = np.flatnonzero(near & ~solid)
-    under = np.zeros(len(index), bool)
-    lowest = solid & near
-    for steps in range(1, cells.n):
-        above, there = _at(cells, cells.points[index] + steps * cells.size * plane[0])
-        there &= near[above]
-        if not there.any():
-            break
-        under |= there & lowest[above]
-    index = index[under]
-    index, seen, told, denied = polled(cells, index, shots, free, known, BARELY)
-    back = (seen >= SHOWN * len(shots)) & (told >= KNOWN * len(shots)) & (denied <= BARELY * told)
-    out = solid.copy()
-    out[index[back]] = True
-    return out
-
-
-def _at(cells: Cells, points: F64) -> tuple[Ints, Bools]:
-    """(N,) rows of the cells that hold points (N, 3), and whether there are any."""
-    steps = np.rint((points - cells.points[0]) / cells.size).astype(np.int64)
-    there = ((steps >= 0) & (steps < cells.n)).all(1)
-    x, y, z = np.where(there[:, None], steps, 0).T
-    return (x * cells.n + y) * cells.n + z, np.asarray(there)
 
 
 def polled(

@@ -17,6 +17,7 @@ from refdgs_pipe.errors import CorruptError, InputError
 from refdgs_pipe.ground.shots import Shot
 from refdgs_pipe.masking import foot, rounds
 from refdgs_pipe.masking.colours import with_colour
+from refdgs_pipe.masking.contact import heard_of, low, standing, without_bites
 from refdgs_pipe.masking.cut import cut
 from refdgs_pipe.masking.files import distorted, write_masks
 from refdgs_pipe.masking.finding import agreement, object_masks
@@ -26,10 +27,7 @@ from refdgs_pipe.masking.solid import (
     agreed,
     covering,
     grid,
-    low,
     silhouette,
-    standing,
-    without_bites,
 )
 
 BALL = Ball(np.array([0.0, 0.0, 0.45]), 1.0)
@@ -325,8 +323,8 @@ def test_a_bite_of_the_foot_comes_back_unless_its_ground_is_proven(proven: bool)
     denying = [i for i, shot in enumerate(shots) if shot.camera.center[0] > 2]
     for i in denying:
         free[i] &= ~silhouette(cells, bite, shots[i])
-    sure = [np.full_like(k, proven) for k in known]
-    back = without_bites(cells, whole & ~bite, shots, free, known, sure, (UP, 0.0), deny=0.06)
+    heard = heard_of(free, known, [np.full_like(k, proven) for k in known])
+    back = without_bites(cells, whole & ~bite, shots, free, known, heard, (UP, 0.0), deny=0.06)
     added = back & ~(whole & ~bite)
     assert (added & ~whole).sum() < 0.1 * bite.sum()
     assert added[bite].mean() == 0 if proven else added[bite].mean() > 0.5
@@ -336,8 +334,8 @@ def test_ground_below_a_body_that_hangs_all_round_is_no_bite() -> None:
     cells = grid(BALL, UP, 0.0, 64)
     shots, free, known, whole = many_photos(cells, 0.0)
     hanging = whole & (cells.points[:, 2] > 0.1)
-    sure = [np.zeros_like(k) for k in known]
-    back = without_bites(cells, hanging, shots, free, known, sure, (UP, 0.0), deny=0.06)
+    heard = heard_of(free, known, [np.zeros_like(k) for k in known])
+    back = without_bites(cells, hanging, shots, free, known, heard, (UP, 0.0), deny=0.06)
     assert (back == hanging).all()
 
 
