@@ -22,6 +22,7 @@ F32 = NDArray[np.float32]
 # ISO 12232, speed by saturation: a surface that reflects 0.18 shows 0.18 / sqrt(2) of white.
 STANDARD = 2**-0.5
 _HELD = 0.01  # loss for less light, for each squared logarithm
+_CAST = 0.25  # share of its colour cast, in logarithms, that the first guess of the light keeps
 _KNOWN = 0.5  # share of a cell of the ground that photos must show
 
 
@@ -66,3 +67,15 @@ def least_light(ground: GroundLight | None, vertices: F32, height: int) -> Least
     if known.any():
         white = float(np.quantile(light[known] / share[known], BRIGHTEST)) / WHITE
     return LeastLight((weights / weights.sum()).astype(np.float32), max(STANDARD, white))
+
+
+def balanced(light: F32) -> F32:
+    """(H, 2H, 3) the first guess of the light, with less of a colour cast.
+
+    The field tells only the product of light and reflectance, so this guess has the colour of what
+    mirrors the light. Cameras balance photos so that the light is about white.
+    """
+    size = solid_angles(len(light))[..., None]
+    mean = np.maximum((size * light).sum((0, 1)) / size.sum(), 1e-6)
+    cast = mean / np.exp(np.log(mean).mean())
+    return np.asarray(light * cast ** (_CAST - 1), np.float32)

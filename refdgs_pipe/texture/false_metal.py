@@ -15,7 +15,7 @@ F32 = NDArray[np.float32]
 Bools = NDArray[np.bool_]
 
 _LENIENT = 1.75  # a metal on a mesh that is a little wrong mirrors other light than the views show
-_REACH = 0.3  # range, in edges, for each square root of the number of vertices
+_REACH = 0.15  # range, in edges, for each square root of the number of vertices
 _LEAST_EVIDENCE = 1e-3  # of what no view shows
 _EXACT = 1e-6  # of the solution
 

@@ -17,8 +17,8 @@ from refdgs_pipe.artifacts.mesh import TriangleMesh
 from refdgs_pipe.far_light import FarLight, ground_seen
 from refdgs_pipe.ground_light import GroundLight, at_roughness
 from refdgs_pipe.irradiance import Sky, links_of, look_around, spread
-from refdgs_pipe.light import Environment, blur, solid_angles
-from refdgs_pipe.texture.exposure import least_light
+from refdgs_pipe.light import Environment, blur
+from refdgs_pipe.texture.exposure import balanced, least_light
 from refdgs_pipe.texture.false_metal import false_metal
 from refdgs_pipe.texture.matrices import corner_matrix, look_matrix
 from refdgs_pipe.texture.mean_light import MeanLight
@@ -34,13 +34,14 @@ _LEAST_LIGHT = 0.3
 _LEAST_ROOM = 0.02  # beside a flash
 # The brightest that surfaces reflect: white paint, polished silver.
 _WHITE, _SILVER = 0.8, 0.9
-_CAST = 0.25  # share of its colour cast, in logarithms, that the first guess of the light keeps
 _GUESSED = 0.2  # roughness, before any is told
 _OPEN = 0.6  # what sees less of the sky says little about how bright it is
 # Reflectances between which plastic turns into metal: while the light may still be too bright,
 # and with the light that explains what was first told.
 _FIRST, _AGAIN = (0.12, 0.24), (0.2, 0.4)
 _WITH_GROUND = (0.15, 0.3)  # the same again, where a known ground tells how bright the light is
+# What is between plastic and metal is one of both at last, but for a narrow border.
+_DECIDED = (0.35, 0.65)
 _BATCH = 50_000
 
 
@@ -102,8 +103,8 @@ def _fitted(
         _kept,
         lambda state: problem.tell_metal(state, _FIRST),
         lambda state: problem.shown_by_photos(problem.tell_metal(state, again)),
-        lambda state: problem.tell_roughness(
-            problem.shown_by_photos(problem.without_false_metal(state))
+        lambda state: problem.decided(
+            problem.tell_roughness(problem.shown_by_photos(problem.without_false_metal(state)))
         ),
     ]
     if not metal:
@@ -135,18 +136,6 @@ def matte(mesh: TriangleMesh, *, lift: float) -> Appearance:
     return Appearance(mesh.vertices, ones, 0 * ones, wide, wide, wide, around.openness, None)
 
 
-def _balanced(light: F32) -> F32:
-    """(H, 2H, 3) the first guess of the light, with less of a colour cast.
-
-    The field tells only the product of light and reflectance, so this guess has the colour of what
-    mirrors the light. Cameras balance photos so that the light is about white.
-    """
-    size = solid_angles(len(light))[..., None]
-    mean = np.maximum((size * light).sum((0, 1)) / size.sum(), 1e-6)
-    cast = mean / np.exp(np.log(mean).mean())
-    return np.asarray(light * cast ** (_CAST - 1), np.float32)
-
-
 class _Problem:
     """The samples as matrices, cut into batches of fixed membership."""
 
@@ -160,7 +149,7 @@ class _Problem:
         ground: GroundLight | None,
     ) -> None:
         self.mesh, self.samples, self.mean = mesh, samples, mean
-        self.guess = light if mean.white else _balanced(light)
+        self.guess = light if mean.white else balanced(light)
         self.ground = ground
         self.height = len(light)
         self.told, self.known = ground_seen(ground, mesh.vertices, self.height)
@@ -310,14 +299,24 @@ class _Problem:
 
     def without_false_metal(self, state: State) -> State:
         """Metal stays unless one colour a place explains what the views show much better."""
-        missed, varied = self._unexplained(state)
-        false = false_metal(state.metallic > 0.5, missed, varied, self.sent, self.links)
+        metal = state.metallic > 0.5
+        missed, varied = self._unexplained(replace(state, metallic=metal.astype(np.float32)))
+        false = false_metal(metal, missed, varied, self.sent, self.links)
         metallic = np.where(false, 0, state.metallic).astype(np.float32)
         return self._lit(replace(state, metallic=metallic, told_metallic=metallic))
 
+    def decided(self, state: State) -> State:
+        """Every place is metal or none, but for a narrow border."""
+        metallic = smooth_step(state.metallic, *_DECIDED)
+        return self._lit(replace(state, metallic=metallic, told_metallic=metallic))
+
     def _unexplained(self, state: State) -> tuple[F32, F32]:
-        """(V,) squared sRGB differences around each vertex, from the fit and from its mean."""
+        """(V,) squared sRGB differences around each vertex, from the fit and from its mean.
+
+        Where the mesh mirrors itself, what it mirrors is known roughly. It does not count.
+        """
         missed, colours = np.zeros((len(self.far), 1)), np.zeros((len(self.far), 3))
+        counted = self.far[:, None].astype(np.float64)
         unknown = Unknown(state, balanced=self.below is not None)
         with torch.no_grad():
             for rows, batch in zip(self.rows, self.batches, strict=True):
@@ -325,9 +324,9 @@ class _Problem:
                 apart = batch.shown(unknown, self.blur) - batch.target
                 missed[rows] = (apart**2).mean(1, keepdim=True)
         back = self.corners.T
-        count = np.maximum(back @ np.ones((len(colours), 1)), 1e-6)
-        varied = back @ colours**2 - (back @ colours) ** 2 / count
-        return (back @ missed)[:, 0], np.maximum(varied, 0).mean(1)
+        count = np.maximum(back @ counted, 1e-6)
+        varied = back @ (counted * colours**2) - (back @ (counted * colours)) ** 2 / count
+        return (back @ (counted * missed))[:, 0], np.maximum(varied, 0).mean(1)
 
     def tell_roughness(self, state: State) -> State:
         """Estimate roughness from how much reflections vary from view to view.
@@ -358,9 +357,10 @@ class _Problem:
     ) -> State:
         """Adam on all unknowns, batch by batch."""
         # not before metal is told: brighter light hides it, because mirrors show lamps clipped
-        least = None if state.told_roughness is None else self.least
+        last = state.told_roughness is not None
+        least = self.least if last else None
         unknown = Unknown(state, balanced=self.below is not None, least=least)
-        optimizer = torch.optim.Adam(unknown.groups(rate))
+        optimizer = torch.optim.Adam(unknown.groups(rate, metal=not last))
         links = torch.from_numpy(self.links)
         for epoch in range(epochs):
             progress(epoch)

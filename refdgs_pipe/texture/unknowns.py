@@ -80,8 +80,14 @@ class Unknown:
         self.told_metallic, self.told_roughness = state.told_metallic, state.told_roughness
         self.told_tint, self.balanced, self.least = state.told_tint, balanced, least
 
-    def groups(self, rate: float) -> list[dict[str, Any]]:
-        fast, slow = [self.rough, self.metal], [self.light, self.tint, self.gain]
+    def groups(self, rate: float, *, metal: bool = True) -> list[dict[str, Any]]:
+        """What Adam may change, and its step.
+
+        Args:
+            metal: whether the share of metal may change, too.
+        """
+        fast, slow = [self.rough], [self.light, self.tint, self.gain]
+        fast += [self.metal] if metal else []
         return [{"params": fast, "lr": rate}, {"params": slow, "lr": 0.6 * rate}]
 
     def logs(self) -> Tensor:

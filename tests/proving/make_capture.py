@@ -90,7 +90,8 @@ def render(out: Path, recipe: Any, light: str, wanted: argparse.Namespace) -> No
     wide = 4096 if turns or recipe.inside else 2048
     surroundings = env.build(recipe.room, wide, wide // 2, 1) * np.float32(room)
     if recipe.inside and light == "world":
-        tracer = walls.WalledTracer(objects, surroundings, *large, fov, recipe.inside)
+        room_of = (surroundings, *large, fov, recipe.inside)
+        tracer = walls.WalledTracer(objects, *room_of, someone=recipe.someone)
     else:
         tracer = capture.PhotoTracer(objects, surroundings, *large, fov, flashes)
     denoise = capture.OIDN(*large)

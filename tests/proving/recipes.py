@@ -31,6 +31,7 @@ class Recipe:
         noise: standard deviation of the noise at full scale, linear.
         inside: (x, y) where the object stands in a room of 5.2 by 4.4 metres, metres from its
             middle; without it, the room is infinitely far away.
+        someone: whether objects mirror someone who holds the camera; only `inside` a room.
         beside: what else stands on the table.
         varnish: roughness (GGX alpha) of a coat of varnish on the table; without it, it is matte.
     """
@@ -52,6 +53,7 @@ class Recipe:
     inside: tuple[float, float] | None = None
     varnish: float | None = None
     beside: Callable[[], o.Objects] | None = None
+    someone: bool = False
 
 
 def papers(seed: int) -> np.ndarray:
@@ -240,5 +242,35 @@ RECIPES = {
         drift=0.05,
         shake=0.8,
         noise=2e-3,
+    ),
+    "roast": Recipe(
+        k.saucepan,
+        p.planks,
+        "office",
+        p.rings,
+        seed=1711,
+        checking=True,
+        inside=(0.4, 0.6),
+        someone=True,
+    ),
+    "award": Recipe(
+        m.trophy,
+        p.stone,
+        "office",
+        p.rings,
+        seed=1714,
+        checking=True,
+        inside=(-0.5, -0.4),
+        someone=True,
+    ),
+    "basin": Recipe(
+        o.gold_bowl,
+        p.planks,
+        "studio",
+        p.rings,
+        seed=1716,
+        checking=True,
+        inside=(0.2, 0.9),
+        someone=True,
     ),
 }

@@ -18,6 +18,14 @@ SIDES = [  # inward normal, along u, along v
     ((0, 0, 1), (1, 0, 0), (0, 1, 0)),
 ]
 PIXELS = 2048  # of each side's texture
+# Someone who holds the camera: half sizes and middle of boxes (to the right, away from the object,
+# up), in metres from the camera; and the light that they send out, where the walls' is about 0.5
+BODY = [
+    ((0.08, 0.012, 0.05), (0.0, 0.03, 0.0), (0.2, 0.14, 0.11)),  # hands and telephone
+    ((0.08, 0.09, 0.12), (0.0, 0.28, 0.06), (0.25, 0.18, 0.14)),  # head
+    ((0.22, 0.12, 0.3), (0.0, 0.4, -0.38), (0.07, 0.09, 0.15)),  # shirt
+    ((0.16, 0.12, 0.42), (0.0, 0.42, -1.1), (0.03, 0.03, 0.035)),  # trousers
+]
 
 
 class WalledTracer(capture.PhotoTracer):
@@ -26,6 +34,7 @@ class WalledTracer(capture.PhotoTracer):
     Args:
         surroundings: (H, W, 3) the room as seen from its middle, as `env.build` draws it.
         inside: (x, y) where the object stands, metres from the middle.
+        someone: whether someone holds the camera: objects mirror them, and they shade the room.
     """
 
     def __init__(
@@ -36,18 +45,35 @@ class WalledTracer(capture.PhotoTracer):
         height: int,
         fov: float,
         inside: tuple[float, float],
+        someone: bool = False,
     ) -> None:
         self.flash = False
         dark = {"dark": {"type": "constant", "radiance": 1e-7}}
         shining, painted = _walls(surroundings, inside)
+        for k, (_, _, light) in enumerate(BODY if someone else []):
+            shining[f"body{k}"], painted[f"body{k}"] = _box(light)
         super(capture.PhotoTracer, self).__init__(
             objects, None, width, height, fov, {**dark, **shining}
         )
+        cube = mi.traverse(mi.load_dict({"type": "cube"}))
+        self._cube = np.array(cube["vertex_positions"]).reshape(-1, 3)
         shapes = {f"s{k:02d}": shape for k, shape in enumerate(self.shapes)}
         self._painted = mi.load_dict({"type": "scene", **dark, **painted, **shapes})
 
     def place(self, cam: dict[str, Any]) -> None:
-        """Nothing moves but the camera."""
+        """Whoever holds the camera moves with it; they stand upright and face the object."""
+        eye = np.asarray(cam["c2w"])[:3, 3]
+        away = np.array([*eye[:2], 0.0]) / max(float(np.hypot(*eye[:2])), 1e-6)
+        axes = np.stack([np.cross(away, [0, 0, 1.0]), away, [0, 0, 1.0]])
+        for scene in (self.scene, self._painted):
+            params = mi.traverse(scene)
+            for k, (half, middle, _) in enumerate(BODY):
+                key = f"body{k}.vertex_positions"
+                if key in params:
+                    corners = self._cube * half + middle
+                    place = eye + METRE * corners @ axes
+                    params[key] = mi.Float(place.astype(np.float32).ravel())
+            params.update()
 
     def features(self, *args: Any, **options: Any) -> Any:
         """The denoiser's features, with the walls' light as their colour."""
@@ -101,6 +127,14 @@ def _walls(
             "bsdf": {"type": "diffuse", "reflectance": capture.bitmap(paint)},
         }
     return shining, painted
+
+
+def _box(light: tuple[float, float, float]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """A part of a body: as a lamp, and painted in the colour of its light."""
+    colour = {"type": "rgb", "value": list(light)}
+    black = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.0}}
+    shining = {"type": "cube", "bsdf": black, "emitter": {"type": "area", "radiance": colour}}
+    return shining, {"type": "cube", "bsdf": {"type": "diffuse", "reflectance": colour}}
 
 
 def _number(shape: Any) -> int:

@@ -106,6 +106,11 @@ def test_what_varies_as_a_metal_but_mirrors_nothing_is_none() -> None:
     assert np.median(found.metallic[~left]) < 0.2
 
 
+def test_metal_is_decided_in_the_end(fitted: Appearance) -> None:
+    """Artists expect metal or none; here no border lies between."""
+    assert ((fitted.metallic > 0.2) & (fitted.metallic < 0.8)).mean() < 0.03
+
+
 def test_the_lights_unit_is_found_from_what_mirrors_it(fitted: Appearance) -> None:
     assert fitted.environment is not None
     assert 0.6 < fitted.environment.mean() / SKY.mean() < 1.7
