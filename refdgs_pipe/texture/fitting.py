@@ -22,6 +22,7 @@ from refdgs_pipe.texture.exposure import balanced, least_light
 from refdgs_pipe.texture.false_metal import false_metal
 from refdgs_pipe.texture.matrices import corner_matrix, look_matrix
 from refdgs_pipe.texture.mean_light import MeanLight
+from refdgs_pipe.texture.one_colour import mean_over_parts
 from refdgs_pipe.texture.sampling import Samples
 from refdgs_pipe.texture.unknowns import Batch, State, Unknown
 from refdgs_pipe.texture.view_variation import ViewVariation, smooth_step
@@ -40,8 +41,6 @@ _OPEN = 0.6  # what sees less of the sky says little about how bright it is
 # and with the light that explains what was first told.
 _FIRST, _AGAIN = (0.12, 0.24), (0.2, 0.4)
 _WITH_GROUND = (0.15, 0.3)  # the same again, where a known ground tells how bright the light is
-# What is between plastic and metal is one of both at last, but for a narrow border.
-_DECIDED = (0.35, 0.65)
 _BATCH = 50_000
 
 
@@ -306,8 +305,10 @@ class _Problem:
         return self._lit(replace(state, metallic=metallic, told_metallic=metallic))
 
     def decided(self, state: State) -> State:
-        """Every place is metal or none, but for a narrow border."""
-        metallic = smooth_step(state.metallic, *_DECIDED)
+        """Every part of one colour is metal, or none of it is."""
+        seen = np.asarray(self.corners.sum(0)).reshape(-1) + 1e-3
+        metal = mean_over_parts(state.metallic, seen, self.sent, self.links) > 0.5
+        metallic = metal.astype(np.float32)
         return self._lit(replace(state, metallic=metallic, told_metallic=metallic))
 
     def _unexplained(self, state: State) -> tuple[F32, F32]:
