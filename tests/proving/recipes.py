@@ -63,6 +63,7 @@ def papers(seed: int) -> np.ndarray:
 
 PHONE = {"lens": (0.04, -0.03), "focal": 26.0, "drift": 0.06, "shake": 1.2, "noise": 2e-3}
 UPRIGHT = (480, 640)
+HELD = {"checking": True, "someone": True}  # the camera, by someone whom the object mirrors
 
 RECIPES = {
     "chest": Recipe(o.mirror_box, p.planks, "office", p.rings, seed=3),
@@ -243,34 +244,7 @@ RECIPES = {
         shake=0.8,
         noise=2e-3,
     ),
-    "roast": Recipe(
-        k.saucepan,
-        p.planks,
-        "office",
-        p.rings,
-        seed=1711,
-        checking=True,
-        inside=(0.4, 0.6),
-        someone=True,
-    ),
-    "award": Recipe(
-        m.trophy,
-        p.stone,
-        "office",
-        p.rings,
-        seed=1714,
-        checking=True,
-        inside=(-0.5, -0.4),
-        someone=True,
-    ),
-    "basin": Recipe(
-        o.gold_bowl,
-        p.planks,
-        "studio",
-        p.rings,
-        seed=1716,
-        checking=True,
-        inside=(0.2, 0.9),
-        someone=True,
-    ),
+    "roast": Recipe(k.saucepan, p.planks, "office", p.rings, 1711, inside=(0.4, 0.6), **HELD),
+    "award": Recipe(m.trophy, p.stone, "office", p.rings, 1714, inside=(-0.5, -0.4), **HELD),
+    "basin": Recipe(o.gold_bowl, p.planks, "studio", p.rings, 1716, inside=(0.2, 0.9), **HELD),
 }
