@@ -22,7 +22,6 @@ from refdgs_pipe.texture.exposure import balanced, least_light
 from refdgs_pipe.texture.false_metal import false_metal
 from refdgs_pipe.texture.matrices import corner_matrix, look_matrix
 from refdgs_pipe.texture.mean_light import MeanLight
-from refdgs_pipe.texture.one_colour import mean_over_parts
 from refdgs_pipe.texture.sampling import Samples
 from refdgs_pipe.texture.unknowns import Batch, State, Unknown
 from refdgs_pipe.texture.view_variation import ViewVariation, smooth_step
@@ -306,10 +305,9 @@ class _Problem:
 
     def decided(self, state: State) -> State:
         """Every part of one colour is metal, or none of it is."""
-        seen = np.asarray(self.corners.sum(0)).reshape(-1) + 1e-3
-        metal = mean_over_parts(state.metallic, seen, self.sent, self.links) > 0.5
-        metallic = metal.astype(np.float32)
-        return self._lit(replace(state, metallic=metallic, told_metallic=metallic))
+        rest, variation = self._variation(state)
+        metal = variation.metal_parts(rest, state.roughness, state.metallic, self.sent)
+        return self.tell_tint(replace(state, metallic=metal, told_metallic=metal))
 
     def _unexplained(self, state: State) -> tuple[F32, F32]:
         """(V,) squared sRGB differences around each vertex, from the fit and from its mean.

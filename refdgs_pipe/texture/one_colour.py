@@ -18,16 +18,13 @@ _BRIGHTNESS = 0.3  # weight of brightness, beside that of hue
 _DIMMEST = 0.02  # linear, added to colours before logarithms
 
 
-def mean_over_parts(values: F32, weights: F64, colors: F32, links: Ints) -> F32:
-    """(V,) the weighted mean of values (V,) over the part of one colour that a vertex lies in.
+def mean_over_parts(values: F32, weights: F64, part: Ints) -> F64:
+    """(P,) the weighted mean of values (V,) over each part.
 
     Args:
-        weights: (V,) above 0.
-        colors: (V, 3) linear, what is seen of each vertex in the mean; links: (E, 2) neighbours.
+        weights: (V,) above 0; part: (V,) of each vertex, from 0 on.
     """
-    part = parts_of_one_colour(colors, links)
-    mean = np.bincount(part, values * weights) / np.bincount(part, weights)
-    return np.asarray(mean[part], np.float32)
+    return np.asarray(np.bincount(part, values * weights) / np.bincount(part, weights))
 
 
 def parts_of_one_colour(colors: F32, links: Ints) -> Ints:

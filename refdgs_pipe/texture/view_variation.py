@@ -17,6 +17,8 @@ from refdgs_pipe.irradiance import spread
 from refdgs_pipe.light import DIELECTRIC, Environment, reflected_share, reflection_line
 from refdgs_pipe.texture.evening import evened
 from refdgs_pipe.texture.metal_tint import Mirrored, even_tint
+from refdgs_pipe.texture.one_colour import mean_over_parts, parts_of_one_colour
+from refdgs_pipe.texture.part_metal import Lines
 from refdgs_pipe.texture.sampling import Samples, seen_roughness
 
 F32 = NDArray[np.float32]
@@ -24,6 +26,7 @@ Ints = NDArray[np.int64]
 
 _FAINT = 0.06  # light that varies less than this, linear, tells little about what mirrors it
 _SMOOTHING = 4  # rounds, for metal
+_BORDER = 2  # edges over which metal ends at last
 # Where the ground is mirrored:
 _TYPICAL = 0.25  # roughness at which seen and known light are compared
 _MOSTLY = 0.5  # share of the ground in what a sample mirrors, from which the sample counts
@@ -138,6 +141,24 @@ class ViewVariation:
         )
         wide = self._around(np.ones(len(samples.face), np.bool_), _SMOOTHING)
         return even_tint(mirrored, metal, wide.mean(samples.photo), self.links)
+
+    def metal_parts(self, light: Environment, roughness: F32, metallic: F32, colors: F32) -> F32:
+        """(V,) the share of metal: each part of one colour is metal or not, with soft borders.
+
+        Args:
+            roughness, metallic: (V,) as far as they are known.
+            colors: (V, 3) linear, what is seen of each vertex in the mean.
+        """
+        part = parts_of_one_colour(colors, self.links)
+        count = np.asarray(self.corners.sum(0)).reshape(-1) + 1e-3
+        mirrored = self._mirrored(light, np.asarray(self.corners @ roughness, np.float32))
+        seen, met = (np.clip(v, 0, 1) for v in (self.samples.photo, mirrored))
+        lines = Lines.of(part, self.corners, seen, met, self.samples.near_face < 0)
+        metal = lines.metal(mean_over_parts(metallic, count, part) > 0.5)[part]
+        share = metal[:, None].astype(np.float32)
+        for _ in range(_BORDER):
+            share = spread(share, self.links)
+        return share[:, 0]
 
     def _like_ground(self, light: Environment) -> tuple[F32, NDArray[np.bool_]]:
         """(V,) the reflectance with which a vertex mirrors the ground, and (V,) where it is told.

@@ -39,11 +39,11 @@ def test_what_few_places_of_a_part_say_is_overruled() -> None:
     colors = seen((0.6, 0.55, 0.4), (0.6, 0.45, 0.15), np.ones(SIDE**2))
     value = np.where(LEFT, 0.0, 1.0).astype(np.float32)
     value[LEFT & (X > 12) & (Y > 10) & (Y < 25)] = 1
-    found = mean_over_parts(value, np.ones(SIDE**2), colors, LINKS)
+    part = parts_of_one_colour(colors, LINKS)
+    found = mean_over_parts(value, np.ones(SIDE**2), part)[part]
     assert found[LEFT].max() < 0.2 and found[~LEFT].min() == 1
 
 
-def test_vertices_without_neighbours_keep_their_own_value() -> None:
-    value = np.array([0.2, 0.9], np.float32)
+def test_vertices_without_neighbours_are_parts_of_their_own() -> None:
     same, none = np.full((2, 3), 0.5, np.float32), np.zeros((0, 2), np.int64)
-    np.testing.assert_allclose(mean_over_parts(value, np.ones(2), same, none), value)
+    assert set(parts_of_one_colour(same, none)) == {0, 1}
