@@ -12,7 +12,7 @@ from refdgs_pipe.pipeline.stage import Job, stage
 from refdgs_pipe.texture.settings import AppearanceParams
 
 
-@stage(version=24, programs=("open3d-cpu", "scipy"), by_device=True)
+@stage(version=25, programs=("open3d-cpu", "scipy"), by_device=True)
 def appearance(
     mesh: Mesh,
     field: SurfelField,

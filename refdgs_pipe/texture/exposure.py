@@ -1,4 +1,4 @@
-"""How bright the light from above is at least: photos are exposed for it.
+"""How bright the light is at least, and of what colour: photos are exposed and balanced for it.
 
 Photos show the product of light and reflectance. Lamps, windows and the sun are clipped in them, so
 mirrors show them too dim, and a fit to what mirrors show finds too little light. Two things bound

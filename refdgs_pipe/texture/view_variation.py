@@ -145,17 +145,22 @@ class ViewVariation:
     def metal_parts(self, light: Environment, roughness: F32, metallic: F32, colors: F32) -> F32:
         """(V,) the share of metal: each part of one colour is metal or not, with soft borders.
 
+        Most of a part decides. Where the ground's light is known, and so how bright the light is,
+        the part's line in the light can overrule it.
+
         Args:
             roughness, metallic: (V,) as far as they are known.
             colors: (V, 3) linear, what is seen of each vertex in the mean.
         """
         part = parts_of_one_colour(colors, self.links)
-        count = np.asarray(self.corners.sum(0)).reshape(-1) + 1e-3
-        mirrored = self._mirrored(light, np.asarray(self.corners @ roughness, np.float32))
-        seen, met = (np.clip(v, 0, 1) for v in (self.samples.photo, mirrored))
-        lines = Lines.of(part, self.corners, seen, met, self.samples.near_face < 0)
-        metal = lines.metal(mean_over_parts(metallic, count, part) > 0.5)[part]
-        share = metal[:, None].astype(np.float32)
+        count = np.asarray(self.corners.sum(0)).reshape(-1) + 1e-3  # parts without samples, too
+        metal = mean_over_parts(metallic, count, part) > 0.5
+        if self.below is not None:
+            mirrored = self._mirrored(light, np.asarray(self.corners @ roughness, np.float32))
+            seen, met = (np.clip(v, 0, 1) for v in (self.samples.photo, mirrored))
+            lines = Lines.of(part, self.corners, seen, met, self.samples.near_face < 0)
+            metal = lines.metal(metal)
+        share = metal[part, None].astype(np.float32)
         for _ in range(_BORDER):
             share = spread(share, self.links)
         return share[:, 0]
